@@ -1,0 +1,20 @@
+"""Train, compare and use text-to-motion methods."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+__all__ = ["TextToMotion", "__version__"]
+
+if TYPE_CHECKING:
+    from kinema.pipeline import TextToMotion
+
+
+def __getattr__(name: str) -> Any:
+    # Imported on first use: `import kinema` (and every --help) must not pay for torch.
+    if name == "TextToMotion":
+        from kinema.pipeline import TextToMotion
+
+        return TextToMotion
+    raise AttributeError(f"module 'kinema' has no attribute {name!r}")
