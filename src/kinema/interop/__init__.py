@@ -1,0 +1,65 @@
+"""Load the published checkpoints as modules of this package: `load("mardm-ae", "latest.tar", statistics=...)`.
+
+Each kind has one importer, a function `load(state, **options) -> nn.Module` in its own file. It is given the bare
+published state dict (no wrapper, no `module.`, no `clip_model.*`; where a file holds several networks, as the
+T2M-style evaluator's, their names are the keys' prefixes), derives every size from the shapes, takes as options only
+what shapes cannot tell, renames with `checkpoint.transfer` and returns the module in eval mode.
+
+Options that several importers share: `statistics`, the corpus' mean and std (a `Statistics`, a folder with `Mean.npy`
+and `Std.npy`, or a pair of such paths). The published files carry none; without it the module's representation stays
+unfitted and says so on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from kinema.interop.checkpoint import read_checkpoint, unwrap
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Name an importer's module and the wrappers of its files (`several`: each holds a part)."""
+
+    module: str
+    wrappers: tuple[str, ...]
+    several: bool = False
+
+
+KINDS: dict[str, Kind] = {
+    "mardm-ae": Kind("kinema.interop.autoencoder", ("ae",)),
+    "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm")),
+    "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",)),
+    "t2m-evaluator": Kind(
+        "kinema.interop.t2m_evaluator", ("movement_encoder", "text_encoder", "motion_encoder"), several=True
+    ),
+    "clip-evaluator": Kind("kinema.interop.clip_evaluator", ("contrast_model",)),
+}
+
+
+def load(kind: str, source: str | Path | Mapping[str, Any], **options: Any) -> nn.Module:
+    """Load a published checkpoint (a file or its content) as a module in eval mode.
+
+    Raises ValueError for an unknown kind or option, a damaged file or one that holds code, or keys that don't fit.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"unknown kind of checkpoint {kind!r}; allowed: {', '.join(KINDS)}")
+    content = source if isinstance(source, Mapping) else read_checkpoint(source)
+    state = unwrap(content, KINDS[kind].wrappers, several=KINDS[kind].several)
+    importer = importlib.import_module(KINDS[kind].module).load
+    return importer(state, **_checked(kind, importer, options)).eval()
+
+
+def _checked(kind: str, importer: Any, options: dict[str, Any]) -> dict[str, Any]:
+    allowed = list(inspect.signature(importer).parameters)[1:]
+    for name in options:
+        if name not in allowed:
+            raise ValueError(f"{kind!r} has no option {name!r}; allowed: {', '.join(allowed) or 'none'}")
+    return options

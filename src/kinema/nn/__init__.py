@@ -1,0 +1,1 @@
+"""Hold the pure building blocks of the networks: convolutions, attention, embeddings, modulation."""

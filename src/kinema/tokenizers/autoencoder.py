@@ -1,0 +1,91 @@
+"""Compress motion four-fold in time into continuous latents: MARDM's autoencoder (MARDM §3)."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from kinema.motion.representation import Representation
+from kinema.nn.conv import ConvDecoder, ConvEncoder
+from kinema.types import Latents, Losses, MotionBatch, frame_mask
+
+
+class AutoEncoder(nn.Module):
+    """Encode motion (b, t, d) to raw latents (b, t // 4, latent_dim) and back, without a bottleneck regulariser.
+
+    `mask_padding` makes a clip's result independent of the padding of its batch: equal to the clip alone. False is
+    what the published code does (padding past a clip's end leaks into its last frames).
+    """
+
+    def __init__(
+        self,
+        representation: Representation,
+        *,
+        width: int = 512,
+        latent_dim: int = 512,
+        depth: int = 3,
+        dilation_growth: int = 3,
+        down_levels: int = 2,
+        dropout: float = 0.2,
+        joint_weight: float = 1.0,
+        mask_padding: bool = True,
+    ) -> None:
+        super().__init__()
+        net = {"width": width, "levels": down_levels, "depth": depth, "dilation_growth": dilation_growth}
+        self.representation = representation
+        self.encoder = ConvEncoder(representation.width, latent_dim, **net, dropout=dropout)
+        self.decoder = ConvDecoder(latent_dim, representation.width, **net, dropout=dropout)
+        self.latent_dim = latent_dim
+        self.downsample = 2**down_levels
+        self.joint_weight = joint_weight
+        self.mask_padding = mask_padding
+
+    def loss(self, motion: MotionBatch) -> Losses:
+        """Give SmoothL1 over all dims plus `joint_weight` times SmoothL1 over the joint positions (MARDM §3).
+
+        The paper's Eq. 8 is L1; the published code, which this follows, takes SmoothL1 and adds the joints' term.
+        Means run over real frames only.
+        """
+        target = self.representation.normalize(motion.features, motion.lengths)
+        counts = motion.lengths // self.downsample
+        output = self._decode(self._encode(target, motion.lengths), counts)
+        real = frame_mask(counts * self.downsample, output.shape[1])
+        error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
+        reconstruction = _mean_of_real(error, real)
+        joints = _mean_of_real(error[..., self.representation.groups["joints"]], real)
+        return {"loss": reconstruction + self.joint_weight * joints, "reconstruction": reconstruction, "joints": joints}
+
+    def encode(self, motion: MotionBatch) -> Latents:
+        """Encode a batch; a tail of fewer than four frames has no latent of its own and is dropped.
+
+        Raises ValueError if the padded batch is shorter than one latent.
+        """
+        if motion.features.shape[1] < self.downsample:
+            raise ValueError(
+                f"motion of {motion.features.shape[1]} frames is too short to encode; give at least {self.downsample}"
+            )
+        values = self._encode(self.representation.normalize(motion.features, motion.lengths), motion.lengths)
+        counts = motion.lengths // self.downsample
+        return Latents(lengths=counts, frames=counts * self.downsample, values=values)
+
+    def decode(self, latents: Latents) -> MotionBatch:
+        """Decode to de-normalised features (b, 4n, representation.width), zero past `latents.frames`."""
+        normalized = self._decode(latents.values, latents.lengths)
+        frames = torch.minimum(latents.frames, latents.lengths * self.downsample)
+        return MotionBatch(self.representation.denormalize(normalized, frames), frames)
+
+    def _encode(self, x: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, "b n c"]:
+        return self.encoder(x, self._padded(lengths, x.shape[1]))
+
+    def _decode(self, z: Float[Tensor, "b n c"], lengths: Int[Tensor, " b"]) -> Float[Tensor, "b t d"]:
+        return self.decoder(z, self._padded(lengths, z.shape[1]))
+
+    def _padded(self, lengths: Int[Tensor, " b"], size: int) -> Int[Tensor, " b"] | None:
+        """Give the lengths if something has to be masked."""
+        return lengths if self.mask_padding and bool((lengths < size).any()) else None
+
+
+def _mean_of_real(error: Float[Tensor, "b t d"], real: Bool[Tensor, "b t"]) -> Float[Tensor, ""]:
+    return (error * real[..., None]).sum() / (real.sum() * error.shape[-1]).clamp(min=1)
