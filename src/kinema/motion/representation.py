@@ -1,0 +1,113 @@
+"""Choose the columns of a motion feature row, and normalise them: essential (67/64) or redundant (263/251)."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.motion.statistics import Statistics
+from kinema.types import frame_mask
+
+KINDS = ("essential", "redundant")
+VARIANTS = ("raw", "published")
+
+
+class Representation(nn.Module):
+    """Select, normalise and de-normalise features; belongs to the model that was trained on it and is saved with it.
+
+    `variant` "raw" divides by the grouped deviation, "published" by the T2M family's (HUMANML3D_DATA §6). The
+    statistics are buffers, NaN until `fit` or `load_state_dict`.
+    """
+
+    mean: Float[Tensor, " d"]
+    std: Float[Tensor, " d"]
+
+    def __init__(self, kind: str, skeleton: str, variant: str = "raw") -> None:
+        super().__init__()
+        if kind not in KINDS:
+            raise ValueError(f"unknown representation {kind!r}; choose one of {', '.join(KINDS)}")
+        if variant not in VARIANTS:
+            raise ValueError(f"unknown variant {variant!r}; choose one of {', '.join(VARIANTS)}")
+        self.kind, self.variant, self.skeleton_name = kind, variant, skeleton
+        self.register_buffer("mean", torch.full((self.width,), torch.nan))
+        self.register_buffer("std", torch.full((self.width,), torch.nan))
+        self._fitted = False
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Give the skeleton that the features describe."""
+        return get_skeleton(self.skeleton_name)
+
+    @property
+    def width(self) -> int:
+        """Count the selected columns."""
+        return self.skeleton.essential_width if self.kind == "essential" else self.skeleton.feature_width
+
+    @property
+    def groups(self) -> dict[str, slice]:
+        """Name the column groups that are selected."""
+        return {name: columns for name, columns in self.skeleton.groups.items() if columns.stop <= self.width}
+
+    def fit(self, statistics: Statistics) -> Representation:
+        """Take raw grouped statistics of a corpus (at least `width` columns); applies the variant itself."""
+        if len(statistics.mean) < self.width:
+            raise ValueError(
+                f"statistics have {len(statistics.mean)} columns, the {self.kind} representation of skeleton "
+                f"{self.skeleton_name!r} needs {self.width}; compute them from features of that width"
+            )
+        chosen = statistics.published(self.skeleton) if self.variant == "published" else statistics
+        self.mean.copy_(torch.from_numpy(chosen.mean[: self.width].astype(np.float32)))
+        self.std.copy_(torch.from_numpy(chosen.std[: self.width].astype(np.float32)))
+        self._fitted = True
+        return self
+
+    def normalize(
+        self, features: Float[Tensor, "*b t w"], lengths: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "*b t d"]:
+        """Select the columns and normalise them; frames past the lengths become zero."""
+        self._require_fitted()
+        if features.shape[-1] < self.width:
+            raise ValueError(
+                f"features have {features.shape[-1]} columns, the {self.kind} representation of skeleton "
+                f"{self.skeleton_name!r} needs at least {self.width}"
+            )
+        return _padded((features[..., : self.width] - self.mean) / self.std, lengths)
+
+    def denormalize(
+        self, values: Float[Tensor, "*b t d"], lengths: Int[Tensor, " b"] | None = None
+    ) -> Float[Tensor, "*b t d"]:
+        """Undo the normalisation; frames past the lengths become zero."""
+        self._require_fitted()
+        if values.shape[-1] != self.width:
+            raise ValueError(f"values have {values.shape[-1]} columns, the {self.kind} representation has {self.width}")
+        return _padded(values * self.std + self.mean, lengths)
+
+    def identity(self) -> dict[str, str]:
+        """Name what the numbers mean: kind, skeleton, variant and digest of the statistics in use."""
+        self._require_fitted()
+        used = Statistics(self.mean.cpu().numpy(), self.std.cpu().numpy())
+        return {"kind": self.kind, "skeleton": self.skeleton_name, "variant": self.variant, "digest": used.digest()}
+
+    def _require_fitted(self) -> None:
+        # Looked up once: reading a buffer costs a synchronisation on an accelerator.
+        if not self._fitted:
+            if bool(torch.isnan(self.mean).any() | torch.isnan(self.std).any()):
+                raise ValueError(
+                    "this representation has no statistics; call representation.fit(store.statistics) or load the "
+                    "weights of a trained model"
+                )
+            self._fitted = True
+
+    def _load_from_state_dict(self, *args: object, **kwargs: object) -> None:
+        self._fitted = False
+        super()._load_from_state_dict(*args, **kwargs)  # type: ignore[arg-type]
+
+
+def _padded(values: Float[Tensor, "*b t d"], lengths: Int[Tensor, " b"] | None) -> Float[Tensor, "*b t d"]:
+    """Zero the frames past the lengths (NaN there too)."""
+    if lengths is None:
+        return values
+    return values.masked_fill(~frame_mask(lengths, values.shape[-2])[..., None], 0)
