@@ -1,0 +1,178 @@
+"""Read corpora into clips, and say of everything that was left out why (HUMANML3D_DATA §7)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from kinema.data.captions import AnnotatedCaption, parse_line
+from kinema.motion.skeleton import get_skeleton
+from kinema.motion.statistics import Statistics
+
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Hold one clip: its captions, and a callable that loads its motion, so that a corpus need not sit in memory.
+
+    Exactly one of `joints` (-> (T, J, 3), Y up, in the skeleton's unit and frame rate) and `features` (-> (T, D) full
+    width) is given; it must be picklable (a `functools.partial` of a module's function) to be loaded by processes.
+    `fields` holds what is known of the clip, e.g. source, label, licence.
+    """
+
+    name: str
+    split: str
+    captions: list[AnnotatedCaption] = field(default_factory=list)
+    fields: dict[str, str] = field(default_factory=dict)
+    joints: Callable[[], np.ndarray] | None = None
+    features: Callable[[], np.ndarray] | None = None
+    mirrored: bool = False
+
+    def __post_init__(self) -> None:
+        if self.split not in SPLITS:
+            raise ValueError(f"clip {self.name!r}: split {self.split!r} is not one of {SPLITS}")
+        if (self.joints is None) == (self.features is None):
+            raise ValueError(f"clip {self.name!r}: give either a `joints` or a `features` loader")
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Say what was left out and why.
+
+    `what`: "missing" (a listed clip without its files), "clip" (unusable motion), "entry" (outside the length filter,
+    its windows are kept) or "caption" (unreadable line).
+    """
+
+    name: str
+    split: str
+    what: Literal["missing", "clip", "entry", "caption"]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """Hold the clips of a corpus in split order, what was dropped on the way, and the statistics it ships with."""
+
+    clips: list[Clip]
+    dropped: list[Dropped] = field(default_factory=list)
+    statistics: Statistics | None = None
+
+    def __iter__(self) -> Iterator[Clip]:
+        return iter(self.clips)
+
+    def __len__(self) -> int:
+        return len(self.clips)
+
+
+def read_joints_folder(path: str | Path) -> Catalog:
+    """Read `joints/NAME.npy` (T, J, 3), `texts/NAME.txt` and the split files: the layout of open-mocap.
+
+    `texts/` may be absent (a corpus without captions). An optional `manifest.json`, a list of objects with a `name`,
+    gives every clip's fields. A clip `MNAME` beside `NAME` is taken for the mirror image of it.
+    """
+    return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"))
+
+
+def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
+    """Read the folders of HumanML3D or KIT-ML: `new_joint_vecs/`, `texts/`, split files, `Mean.npy` and `Std.npy`.
+
+    Mirrored clips are in there under `MNAME`, with their captions swapped already. The folder's own statistics are
+    used where present. Raises ValueError if they do not have the skeleton's full width.
+    """
+    root, width = Path(path), get_skeleton(skeleton).feature_width
+    catalog = _read_folder(root, "new_joint_vecs", {})
+    present = [name for name in ("Mean.npy", "Std.npy") if (root / name).is_file()]
+    if not present:
+        return catalog
+    if len(present) == 1:
+        raise FileNotFoundError(f"{root} has {present[0]} but not its twin; add it, or remove both to compute them")
+    statistics = Statistics.load(root)
+    if len(statistics.mean) != width:
+        raise ValueError(
+            f"{root}/Mean.npy is {len(statistics.mean)} wide, {skeleton} has {width}; is this the folder of the other "
+            "corpus (pass skeleton='kit' or 'humanml3d'), or Mean.npy of the essential dims? Remove it to compute it"
+        )
+    return Catalog(catalog.clips, catalog.dropped, statistics)
+
+
+def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]]) -> Catalog:
+    """Read every clip that a split file lists; `motions` names the folder of arrays and so the kind of motion."""
+    kind = "joints" if motions == "joints" else "features"
+    listed = _read_splits(root, motions)
+    available = _stems(root / motions, ".npy")
+    texts = _stems(root / "texts", ".txt") if (root / "texts").is_dir() else None
+    clips, dropped = [], []
+    for name, split in listed.items():
+        lacking = [f"{motions}/{name}.npy"] if name not in available else []
+        lacking += [f"texts/{name}.txt"] if texts is not None and name not in texts else []
+        if lacking:
+            dropped.append(Dropped(name, split, "missing", f"{' and '.join(lacking)} not found"))
+            continue
+        captions, unreadable = ([], []) if texts is None else _read_captions(root / "texts" / f"{name}.txt")
+        dropped += [Dropped(name, split, "caption", reason) for reason in unreadable]
+        load = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
+        mirrored = name.startswith("M") and name[1:] in listed
+        clips.append(Clip(name, split, captions, known.get(name, {}), mirrored=mirrored, **load))
+    return Catalog(clips, dropped)
+
+
+def load_array(file: str) -> np.ndarray:
+    """Load a .npy file; one that would execute code, or is cut off, raises ValueError."""
+    try:
+        return np.load(file, allow_pickle=False)
+    except EOFError as error:
+        raise ValueError(f"{file} is cut off: {error}") from None
+
+
+def _read_splits(root: Path, motions: str) -> dict[str, str]:
+    """Map every listed name to its split, in split order. Raises FileNotFoundError for what the layout lacks."""
+    layout = f"{motions}/NAME.npy, texts/NAME.txt, train.txt, val.txt, test.txt (one NAME a line)"
+    lacking = [motions] if not (root / motions).is_dir() else []
+    lacking += [f"{split}.txt" for split in SPLITS if not (root / f"{split}.txt").is_file()]
+    if lacking:
+        state = "does not exist" if not root.is_dir() else f"lacks {', '.join(lacking)}"
+        raise FileNotFoundError(f"corpus folder {root} {state}; expected layout: {layout}")
+    found: dict[str, str] = {}
+    for split in SPLITS:
+        for name in (root / f"{split}.txt").read_text(encoding="utf-8-sig").split():
+            if name in found:
+                where = f"twice in {split}.txt" if found[name] == split else f"in {found[name]}.txt and {split}.txt"
+                raise ValueError(f"{root}: clip {name!r} is listed {where}; list it once")
+            found[name] = split
+    if not found:
+        raise ValueError(f"{root}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
+    return found
+
+
+def _stems(folder: Path, suffix: str) -> set[str]:
+    """List the names below a folder that have a suffix, without it; one directory scan instead of a stat per name."""
+    return {str(file.relative_to(folder).with_suffix("")) for file in folder.rglob(f"*{suffix}")}
+
+
+def _read_captions(file: Path) -> tuple[list[AnnotatedCaption], list[str]]:
+    """Read a caption file; give the captions, and for every unreadable line the reason."""
+    captions, unreadable = [], []
+    for number, line in enumerate(file.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            captions.append(parse_line(line))
+        except ValueError as error:
+            unreadable.append(f"line {number}: {error}")
+    return captions, unreadable
+
+
+def _read_fields(file: Path) -> dict[str, dict[str, str]]:
+    """Read a corpus' own list of clips: what it says of each beside name, length and split."""
+    if not file.is_file():
+        return {}
+    rows: Iterable[dict] = json.loads(file.read_text(encoding="utf-8"))
+    passed = ("name", "frames", "split")
+    return {row["name"]: {k: str(v) for k, v in row.items() if k not in passed} for row in rows}

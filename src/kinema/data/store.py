@@ -1,0 +1,225 @@
+"""Open a packed corpus: one memory-mapped array of frames, and an index that is memory-mapped too."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinema.data.catalog import SPLITS
+from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.motion.statistics import Statistics
+from kinema.types import Caption
+
+FORMAT = 1
+"""Raised when the files of a store change their meaning."""
+
+CLIP = np.dtype([("offset", "<i8"), ("frames", "<i4"), ("split", "u1"), ("mirrored", "?"), ("name", "<i4")])
+"""One clip: its rows in `features`, and its name in the string table."""
+
+ENTRY = np.dtype(
+    [
+        ("offset", "<i8"),
+        ("frames", "<i4"),
+        ("split", "u1"),
+        ("mirrored", "?"),
+        ("clip", "<i4"),
+        ("caption", "<i4"),
+        ("captions", "<i4"),
+        ("part", "<i2"),
+    ]
+)
+"""One entry: its rows in `features`, its clip, its captions (first and count), and its part (-1: the whole clip)."""
+
+CAPTION = np.dtype([("text", "<i4"), ("tokens", "<i4")])
+"""One caption: text and tokens in the string table."""
+
+
+class PackedStore:
+    """Read a packed corpus; opening costs milliseconds, and workers and ranks share its pages.
+
+    A **clip** is one motion, an **entry** what a text-to-motion method is trained and scored on: a clip with the
+    captions that are about all of it, or a time-tagged part with its one caption. Windows are cut from clips, which
+    have no length filter; entries have passed the skeleton's.
+
+    `clips` and `entries` are structured arrays, e.g. `store.entries["frames"]`; `split` holds indices into `SPLITS`.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.manifest: dict[str, Any] = _read_manifest(self.path)
+        self.skeleton: Skeleton = get_skeleton(self.manifest["skeleton"])
+        self.statistics = Statistics.load(self.path / "statistics.npz")
+        shape = (self.manifest["frames"], self.skeleton.feature_width)
+        self._check_sizes()
+        self.features: np.memmap = np.memmap(self.path / "features.f32", dtype="<f4", mode="r", shape=shape)
+        self.clips = self._table("clips.npy")
+        self.entries = self._table("entries.npy")
+
+    @classmethod
+    def open(cls, path: str | Path) -> PackedStore:
+        """Open a store that `prepare` wrote."""
+        return cls(path)
+
+    @property
+    def name(self) -> str:
+        """Name the corpus."""
+        return self.manifest["name"]
+
+    @property
+    def hash(self) -> str:
+        """Give the short hash of the content: features, index, captions, skeleton."""
+        return self.manifest["hash"]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """Name what is known of every clip, e.g. source, label, licence."""
+        return tuple(self.manifest["fields"])
+
+    @property
+    def num_clips(self) -> int:
+        """Count the clips."""
+        return len(self.clips)
+
+    @property
+    def num_entries(self) -> int:
+        """Count the entries, those without captions included."""
+        return len(self.entries)
+
+    def split_clips(self, split: str) -> np.ndarray:
+        """Give the ids of a split's clips."""
+        return np.flatnonzero(self.clips["split"] == _split_index(split))
+
+    def split_entries(self, split: str, *, captions_required: bool = True) -> np.ndarray:
+        """Give the ids of a split's entries, by default only of those that have a caption."""
+        chosen = self.entries["split"] == _split_index(split)
+        return np.flatnonzero(chosen & (self.entries["captions"] > 0) if captions_required else chosen)
+
+    def frames_of(self, entry: int) -> np.ndarray:
+        """Give an entry's full-width features as a view, no copy."""
+        return self._rows_of(self.entries[entry])
+
+    def clip_frames(self, clip: int) -> np.ndarray:
+        """Give a clip's full-width features as a view, no copy."""
+        return self._rows_of(self.clips[clip])
+
+    def clip_name(self, clip: int) -> str:
+        """Name a clip."""
+        return self._string(self.clips[clip]["name"])
+
+    def entry_name(self, entry: int) -> str:
+        """Name an entry: its clip's name, and for a time-tagged part its number."""
+        row = self.entries[entry]
+        name = self.clip_name(row["clip"])
+        return name if row["part"] < 0 else f"{name}#{row['part']}"
+
+    def entry_captions(self, entry: int) -> list[Caption]:
+        """Give an entry's captions."""
+        row = self.entries[entry]
+        return [self.caption(i) for i in range(row["caption"], row["caption"] + row["captions"])]
+
+    def caption(self, index: int) -> Caption:
+        """Give one caption of the corpus."""
+        text, tokens = self._captions[index]
+        return Caption(self._string(text), tuple(self._string(tokens).split()))
+
+    def entry_field(self, entry: int, field: str) -> str:
+        """Give a field of an entry's clip; empty where the clip has none."""
+        return self.clip_field(self.entries[entry]["clip"], field)
+
+    def clip_field(self, clip: int, field: str) -> str:
+        """Give a field of a clip; empty where the clip has none."""
+        if field not in self.fields:
+            raise ValueError(f"corpus {self.name!r} has no field {field!r}; it has {list(self.fields)}")
+        return self._field_values[field][self._field_codes[clip, self.fields.index(field)]]
+
+    @cached_property
+    def dropped(self) -> list[dict[str, str]]:
+        """List what was left out: name, split, what (missing, clip, entry, caption), reason."""
+        return json.loads((self.path / "dropped.json").read_text(encoding="utf-8"))
+
+    def verify(self) -> list[str]:
+        """Name the files whose checksum is no longer the manifest's (reads everything)."""
+        return [name for name, wanted in self.manifest["checksums"].items() if checksum(self.path / name) != wanted]
+
+    def __getstate__(self) -> Path:
+        return self.path
+
+    def __setstate__(self, path: Path) -> None:
+        self.__init__(path)
+
+    def __repr__(self) -> str:
+        return f"PackedStore({self.name!r}, {self.num_clips} clips, {self.num_entries} entries, hash {self.hash})"
+
+    def _check_sizes(self) -> None:
+        for name, wanted in self.manifest["sizes"].items():
+            file = self.path / name
+            found = file.stat().st_size if file.is_file() else None
+            if found != wanted:
+                state = "is missing" if found is None else f"has {found} bytes, {wanted} expected"
+                raise ValueError(f"packed corpus {self.path}: {name} {state}; delete the folder and prepare it again")
+
+    def _table(self, name: str) -> np.ndarray:
+        return np.load(self.path / name, mmap_mode="r", allow_pickle=False).view(np.ndarray)
+
+    def _rows_of(self, row: np.void) -> np.ndarray:
+        return self._rows[row["offset"] : row["offset"] + row["frames"]]
+
+    @cached_property
+    def _rows(self) -> np.ndarray:
+        # A plain view: slicing np.memmap itself makes a memmap object per slice, which costs microseconds each.
+        return self.features.view(np.ndarray)
+
+    @cached_property
+    def _captions(self) -> np.ndarray:
+        return self._table("captions.npy")
+
+    @cached_property
+    def _string_ends(self) -> np.ndarray:
+        return self._table("string_ends.npy")
+
+    @cached_property
+    def _blob(self) -> np.ndarray:
+        return np.memmap(self.path / "strings.utf8", dtype="u1", mode="r").view(np.ndarray)
+
+    def _string(self, index: int) -> str:
+        start = self._string_ends[index - 1] if index else 0
+        return self._blob[start : self._string_ends[index]].tobytes().decode("utf-8")
+
+    @cached_property
+    def _field_codes(self) -> np.ndarray:
+        return self._table("fields.npy")
+
+    @cached_property
+    def _field_values(self) -> dict[str, list[str]]:
+        return json.loads((self.path / "fields.json").read_text(encoding="utf-8"))
+
+
+def checksum(file: Path) -> str:
+    """Compute a file's sha256."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _split_index(split: str) -> int:
+    if split not in SPLITS:
+        raise ValueError(f"split {split!r} is not one of {SPLITS}")
+    return SPLITS.index(split)
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    file = path / "manifest.json"
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"{path} is no packed corpus (no manifest.json); make one with kinema.data.prepare.prepare_store(...)"
+        )
+    manifest = json.loads(file.read_text(encoding="utf-8"))
+    if manifest.get("format") != FORMAT:
+        raise ValueError(
+            f"{path} has store format {manifest.get('format')}, this version reads {FORMAT}; prepare it again"
+        )
+    return manifest
