@@ -2,8 +2,9 @@
 
 Each kind has one importer, a function `load(state, **options) -> nn.Module` in its own file. It is given the bare
 published state dict (no wrapper, no `module.`, no `clip_model.*`; where a file holds several networks, as the
-T2M-style evaluator's, their names are the keys' prefixes), derives every size from the shapes, takes as options only
-what shapes cannot tell, renames with `checkpoint.transfer` and returns the module in eval mode.
+T2M-style evaluator's, their names are the keys' prefixes), derives every size from the shapes and takes as options
+only what shapes cannot tell. It writes a build spec and renaming rules and leaves the rest to `checkpoint.transfer`,
+which keeps the spec on the module (`.spec`): `kinema import` saves it as an artifact. autoencoder.py is the example.
 
 Options that several importers share: `statistics`, the corpus' mean and std (a `Statistics`, a folder with `Mean.npy`
 and `Std.npy`, or a pair of such paths). The published files carry none; without it the module's representation stays

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from torch import Tensor
+from torch import Tensor, nn
 
-from kinema.interop.checkpoint import Rules, count, require, transfer
-from kinema.interop.representation import published_representation
-from kinema.tokenizers.autoencoder import AutoEncoder
+from kinema.interop.checkpoint import Rules, count, representation_spec, require, transfer
 
 
 def conv_rules(levels: int, prefix: str = "") -> Rules:
@@ -41,19 +39,20 @@ def load(
     dropout: float = 0.2,
     joint_weight: float = 1.0,
     mask_padding: bool = False,
-) -> AutoEncoder:
+) -> nn.Module:
     """Load a published autoencoder; `mask_padding=False` is how it was evaluated."""
     kind = "mardm-ae"
     width, features, _ = require(state, "encoder.model.0.weight", kind=kind).shape
     levels = count(state, r"encoder\.model\.(\d+)\.0\.weight")
-    module = AutoEncoder(
-        published_representation(features, statistics),
-        width=width,
-        latent_dim=require(state, f"encoder.model.{levels + 2}.weight", kind=kind).shape[0],
-        depth=count(state, r"encoder\.model\.2\.1\.model\.(\d+)\."),
-        down_levels=levels,
-        dropout=dropout,
-        joint_weight=joint_weight,
-        mask_padding=mask_padding,
-    )
-    return transfer(module, state, conv_rules(levels), kind=kind)
+    spec = {
+        "_target_": "kinema.tokenizers.autoencoder.AutoEncoder",
+        "representation": representation_spec(features, kind=kind),
+        "width": width,
+        "latent_dim": require(state, f"encoder.model.{levels + 2}.weight", kind=kind).shape[0],
+        "depth": count(state, r"encoder\.model\.2\.1\.model\.(\d+)\."),
+        "down_levels": levels,
+        "dropout": dropout,
+        "joint_weight": joint_weight,
+        "mask_padding": mask_padding,
+    }
+    return transfer(spec, state, conv_rules(levels), kind=kind, statistics=statistics)
