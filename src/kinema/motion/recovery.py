@@ -59,8 +59,8 @@ def joints_from_rotations(
     yaw, root = recover_root(features)
     sixd = _at_least_float32(features[..., skeleton.groups["rotations"]]).unflatten(-1, (-1, 6))
     local = matrix_from_sixd(sixd)
-    lengths = torch.as_tensor(lengths, dtype=local.dtype, device=local.device)
-    bones = torch.tensor(skeleton.rest_directions, dtype=local.dtype, device=local.device) * lengths[:, None]
+    lengths = lengths.to(local) if isinstance(lengths, Tensor) else _as(lengths, local)
+    bones = _as(skeleton.rest_directions, local) * lengths[:, None]
     turned, placed = {0: yaw_matrix(yaw)}, {0: root}
     for chain in skeleton.chains:
         for parent, child in pairwise(chain):
@@ -72,6 +72,11 @@ def joints_from_rotations(
 def _at_least_float32(values: Tensor) -> Tensor:
     """Widen half precision: summed increments drift in it."""
     return values.float() if values.dtype in (torch.float16, torch.bfloat16) else values
+
+
+def _as(values: np.ndarray, like: Tensor) -> Tensor:
+    """Copy an array to the dtype and device of a tensor (cast first: not every device has float64)."""
+    return torch.tensor(values, dtype=like.dtype).to(like.device)
 
 
 def _delayed(values: Float[Tensor, "*b t c"]) -> Float[Tensor, "*b t c"]:

@@ -112,6 +112,10 @@ def _parents(chains: tuple[tuple[int, ...], ...]) -> tuple[int, ...]:
     return tuple(found.get(joint, -1) for joint in range(len(found) + 1))
 
 
+def _names(*lines: str) -> tuple[str, ...]:
+    return tuple(" ".join(lines).split())
+
+
 def _directions(axes: str) -> np.ndarray:
     """Read rest directions such as "+X -Y": one per joint from joint 1 on; the root's is zero."""
     unit = {"X": (1, 0, 0), "Y": (0, 1, 0), "Z": (0, 0, 1)}
@@ -135,31 +139,10 @@ _HUMANML3D_CHAINS = (
 
 HUMANML3D = Skeleton(
     name="humanml3d",
-    joint_names=tuple(
-        [
-            "pelvis",
-            "left_hip",
-            "right_hip",
-            "spine1",
-            "left_knee",
-            "right_knee",
-            "spine2",
-            "left_ankle",
-            "right_ankle",
-            "spine3",
-            "left_foot",
-            "right_foot",
-            "neck",
-            "left_collar",
-            "right_collar",
-            "head",
-            "left_shoulder",
-            "right_shoulder",
-            "left_elbow",
-            "right_elbow",
-            "left_wrist",
-            "right_wrist",
-        ]
+    joint_names=_names(
+        "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot",
+        "right_foot neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow",
+        "left_wrist right_wrist",
     ),
     parents=_parents(_HUMANML3D_CHAINS),
     chains=_HUMANML3D_CHAINS,
@@ -191,30 +174,9 @@ _KIT_CHAINS = (
 
 KIT = Skeleton(
     name="kit",
-    joint_names=tuple(
-        [
-            "pelvis",
-            "spine",
-            "chest",
-            "neck",
-            "head",
-            "right_shoulder",
-            "right_elbow",
-            "right_wrist",
-            "left_shoulder",
-            "left_elbow",
-            "left_wrist",
-            "right_hip",
-            "right_knee",
-            "right_ankle",
-            "right_midfoot",
-            "right_toe",
-            "left_hip",
-            "left_knee",
-            "left_ankle",
-            "left_midfoot",
-            "left_toe",
-        ]
+    joint_names=_names(
+        "pelvis spine chest neck head right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist",
+        "right_hip right_knee right_ankle right_midfoot right_toe left_hip left_knee left_ankle left_midfoot left_toe",
     ),
     parents=_parents(_KIT_CHAINS),
     chains=_KIT_CHAINS,
