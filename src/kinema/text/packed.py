@@ -1,0 +1,139 @@
+"""Store text features in append-only files that several processes read and write at once.
+
+A folder holds `pooled.bin` (one row per text), `tokens.bin` (the real tokens of all texts, one after the other),
+`index.bin` (one record per text: a header and the text) and `encoder.json` (what made them). Data is written before its
+record, so whatever a killed process leaves behind the last whole record is not referred to and is cut off by the next
+writer. Readers need no lock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+try:
+    import fcntl
+except ImportError:  # Windows: one process at a time
+    fcntl = None
+
+FORMAT = 1
+_HEADER = struct.Struct("<III")  # bytes of the text, tokens, checksum of both and the text
+
+
+class PackedFeatures:
+    """Read and extend one folder of packed features; `index` maps a text to its row."""
+
+    def __init__(self, folder: Path, identity: str, dim: int, token_dim: int, token_dtype: str | None) -> None:
+        self.folder, self.dim = folder, dim
+        self.token_dim = token_dim if token_dtype else 0
+        self.token_dtype = np.dtype(token_dtype or "float32")
+        self._claim(
+            {"format": FORMAT, "encoder": identity, "dim": dim, "token_dim": token_dim, "token_dtype": token_dtype}
+        )
+        self.index: dict[str, int] = {}
+        self._ends = [0]
+        self._read = 0
+        self.pooled = self.tokens = np.zeros((0, 1), np.float32)
+        self.refresh()
+
+    def _claim(self, wanted: dict[str, Any]) -> None:
+        """Say whose features these are, or refuse a folder that is another encoder's."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / "encoder.json"
+        if not path.exists():
+            temporary = path.with_suffix(f".{os.getpid()}.tmp")
+            temporary.write_text(json.dumps(wanted, indent=1))
+            os.replace(temporary, path)
+        found = json.loads(path.read_text())
+        if found != wanted:
+            raise ValueError(f"text cache {self.folder} holds features of {found}, not of {wanted}; delete the folder")
+
+    @property
+    def ends(self) -> np.ndarray:
+        """Give the row in `tokens` behind the last token of each text, 0 in front."""
+        if len(self._ends_array) != len(self._ends):
+            self._ends_array = np.array(self._ends)
+        return self._ends_array
+
+    _ends_array = np.zeros(0, np.int64)
+
+    def refresh(self) -> None:
+        """Take in the records that other processes have added; stop at one that is not whole."""
+        try:
+            with open(self.folder / "index.bin", "rb") as file:
+                file.seek(self._read)
+                data = file.read()
+        except FileNotFoundError:
+            return
+        rows, token_rows = (self._rows("pooled.bin"), self._rows("tokens.bin"))
+        at, known = 0, len(self.index)
+        while at + _HEADER.size <= len(data):
+            size, count, checksum = _HEADER.unpack_from(data, at)
+            text = data[at + _HEADER.size : at + _HEADER.size + size]
+            if len(text) < size or zlib.crc32(text, size ^ count) != checksum:
+                break
+            end = self._ends[-1] + (count if self.token_dim else 0)
+            if len(self._ends) > rows or end > token_rows:
+                break
+            self.index[text.decode()] = len(self._ends) - 1
+            self._ends.append(end)
+            at += _HEADER.size + size
+        self._read += at
+        if len(self.index) > known:
+            self._map()
+
+    def _row_bytes(self, name: str) -> int:
+        return self.dim * 4 if name == "pooled.bin" else self.token_dim * self.token_dtype.itemsize
+
+    def _rows(self, name: str) -> int:
+        path, width = self.folder / name, self._row_bytes(name)
+        return path.stat().st_size // width if width and path.exists() else 0
+
+    def _map(self) -> None:
+        self.pooled = np.memmap(self.folder / "pooled.bin", np.float32, "r", shape=(len(self.index), self.dim))
+        if self._ends[-1]:
+            shape = (self._ends[-1], self.token_dim)
+            self.tokens = np.memmap(self.folder / "tokens.bin", self.token_dtype, "r", shape=shape)
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Hold the folder's lock, with the records of all other writers taken in."""
+        with open(self.folder / "lock", "ab") as file:
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX)
+            self.refresh()
+            yield
+
+    def append(self, texts: Sequence[str], pooled: np.ndarray, tokens: Sequence[np.ndarray]) -> None:
+        """Add texts that are new; call inside `writing`."""
+        records = bytearray()
+        for text, rows in zip(texts, tokens, strict=True):
+            raw, count = text.encode(), len(rows)
+            records += _HEADER.pack(len(raw), count, zlib.crc32(raw, len(raw) ^ count)) + raw
+        self._write("pooled.bin", len(self.index) * self._row_bytes("pooled.bin"), pooled.astype(np.float32).tobytes())
+        if self.token_dim:
+            packed = np.concatenate(tokens).astype(self.token_dtype).tobytes()
+            self._write("tokens.bin", self._ends[-1] * self._row_bytes("tokens.bin"), packed)
+        self._write("index.bin", self._read, bytes(records))
+        self.refresh()
+
+    def _write(self, name: str, at: int, data: bytes) -> None:
+        """Write behind the last byte that a whole record refers to; cut off what a killed process left there."""
+        with _open_for_update(self.folder / name) as file:
+            file.truncate(at)
+            file.seek(at)
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+
+
+def _open_for_update(path: Path) -> BinaryIO:
+    return os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT, 0o666), "r+b")
