@@ -1,0 +1,301 @@
+"""Hold a tokenizer, a generator and a text encoder as one thing that turns text into motion, and edits motion."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from kinema import artifacts
+from kinema.editing import edited_frames, kept_latents, resolve_ranges, stack_sources
+from kinema.folders import load_part, new_folder, read_json, write_json
+from kinema.motion.recovery import recover_joints
+from kinema.motion.skeleton import Skeleton
+from kinema.text.encoders import FrozenTextEncoder, build_text_encoder, check_texts
+from kinema.types import Known, Latents, Motion, MotionBatch
+
+
+class TextToMotion:
+    """Generate and edit motion from text.
+
+    `meta["text"]` = {"encoder": name, "path": ...} says how the text encoder is made again; `save` needs it.
+    """
+
+    def __init__(
+        self,
+        tokenizer: nn.Module,
+        generator: nn.Module,
+        text_encoder: FrozenTextEncoder,
+        length_estimator: nn.Module | None = None,
+        meta: dict[str, Any] | None = None,
+    ) -> None:
+        self.tokenizer = tokenizer.eval()
+        self.generator = generator.eval()
+        self.text_encoder = text_encoder
+        self.length_estimator = length_estimator.eval() if length_estimator is not None else None
+        self.meta = dict(meta or {})
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """Give the skeleton of the motions."""
+        return self.tokenizer.representation.skeleton
+
+    @property
+    def device(self) -> torch.device:
+        """Give the device that the weights are on."""
+        return next(self.generator.parameters()).device
+
+    @property
+    def max_frames(self) -> int:
+        """Give the longest motion that training knew (196 frames: whole latents below the skeleton's limit)."""
+        unit = self.tokenizer.downsample
+        latents = (self.skeleton.max_frames - 1) // unit
+        return min(latents, getattr(self.generator, "max_latents", latents)) * unit
+
+    def to(self, device: torch.device | str) -> TextToMotion:
+        """Move the weights; text features follow them."""
+        for module in self._modules():
+            module.to(device)
+        return self
+
+    @torch.no_grad()
+    def generate(
+        self,
+        texts: str | Sequence[str],
+        frames: int | Sequence[int] | None = None,
+        *,
+        seconds: float | Sequence[float] | None = None,
+        seed: int | None = None,
+        batch_size: int = 32,
+        **sampling: Any,
+    ) -> list[Motion]:
+        """Generate one motion per text, `frames` or `seconds` long (one value, or one per text; else estimated).
+
+        Keyword arguments replace fields of the generator's sampling. The same seed gives the same list; a motion's
+        own `seed` gives it again alone. Raises ValueError for empty texts, lengths out of range, unknown fields.
+        """
+        texts = check_texts([texts] if isinstance(texts, str) else list(texts))
+        options = self._sampling(sampling)
+        seeds = sample_seeds(seed, len(texts))
+        counts = self._requested(frames, seconds, len(texts))
+        motions = []
+        for part in _batches(len(texts), batch_size):
+            text = self.text_encoder(texts[part]).to(self.device)
+            drawn = torch.tensor(seeds[part])
+            wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts[part])
+            latents = self.generator.sample(text, self._whole(wanted), seeds=drawn, sampling=options)
+            motions += self._motions(self._decode(latents, wanted), texts[part], seeds[part])
+        return motions
+
+    @torch.no_grad()
+    def edit(
+        self,
+        motions: Motion | Sequence[Motion],
+        texts: str | Sequence[str],
+        frames: str | Sequence,
+        *,
+        seed: int | None = None,
+        batch_size: int = 32,
+        paste: bool = True,
+        **sampling: Any,
+    ) -> list[Motion]:
+        """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
+
+        Kept feature rows come back bit-equal; the root is integrated from the rows, so that what follows an edit
+        moves on from where the edit ends. `paste=False` gives the raw decoding, which the papers' tables use.
+        """
+        motions, texts = _paired(motions, texts)
+        options = self._sampling(sampling)
+        self._check_sources(motions)
+        ranges = resolve_ranges(frames, [len(m.features) for m in motions])
+        seeds = sample_seeds(seed, len(motions))
+        edited = []
+        for part in _batches(len(motions), batch_size):
+            batch = self._edit_batch(motions[part], texts[part], ranges[part], seeds[part], options, paste)
+            edited += self._motions(batch, texts[part], seeds[part])
+        return edited
+
+    def _edit_batch(
+        self, motions: list[Motion], texts: list[str], ranges: list, seeds: list[int], options: Any, paste: bool
+    ) -> MotionBatch:
+        unit = self.tokenizer.downsample
+        source, counts, filled = stack_sources(motions, self.tokenizer.representation.width, unit)
+        regenerate = edited_frames(ranges, source.shape[1])
+        source, regenerate = source.to(self.device), regenerate.to(self.device)
+        latents = self.tokenizer.encode(MotionBatch(source, filled.to(self.device)))
+        latents = self.generator.sample(
+            self.text_encoder(texts).to(self.device),
+            filled.to(self.device),
+            seeds=torch.tensor(seeds),
+            known=Known(latents, kept_latents(regenerate, unit)),
+            sampling=options,
+        )
+        result = self._decode(latents, counts)
+        if paste:
+            keep = (result.mask & ~regenerate)[..., None]
+            result.features = torch.where(keep, source, result.features)
+        return result
+
+    def _decode(self, latents: Latents, frames: Tensor) -> MotionBatch:
+        return self.tokenizer.decode(replace(latents, frames=frames.to(self.device)))
+
+    def _motions(self, batch: MotionBatch, texts: list[str], seeds: list[int]) -> list[Motion]:
+        joints = recover_joints(batch.features, self.skeleton).cpu().numpy()
+        rows = zip(batch.features.cpu().numpy(), joints, batch.lengths.tolist(), texts, seeds, strict=True)
+        name, fps = self.skeleton.name, self.skeleton.fps
+        return [Motion(j[:n].copy(), f[:n].copy(), text, name, fps, seed) for f, j, n, text, seed in rows]
+
+    def _whole(self, frames: Tensor) -> Tensor:
+        unit = self.tokenizer.downsample
+        return ((frames + unit - 1) // unit * unit).to(self.device)
+
+    def _sampling(self, changes: dict[str, Any]) -> Any:
+        allowed = [f.name for f in fields(self.generator.sampling)]
+        for name in changes:
+            if name not in allowed:
+                raise ValueError(f"unknown sampling field {name!r}; allowed: {', '.join(allowed)}")
+        return replace(self.generator.sampling, **changes)
+
+    def _requested(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
+        if frames is not None and seconds is not None:
+            raise ValueError(f"got frames={frames} and seconds={seconds}; give one of them")
+        if frames is None and seconds is None:
+            if self.length_estimator is None:
+                raise ValueError("no length: give frames= or seconds=, or train the stage `length` of this method")
+            return None
+        asked = _spread(frames if seconds is None else seconds, size)
+        counts = [round(a * self.skeleton.fps) if seconds is not None else int(a) for a in asked]
+        for count in counts:
+            self._check_length(count)
+        return counts
+
+    def _check_length(self, count: int) -> None:
+        if not 1 <= count <= self.max_frames:
+            fps = self.skeleton.fps
+            raise ValueError(
+                f"length {count} is out of range; allowed: 1 to {self.max_frames} frames "
+                f"({self.max_frames / fps:g} seconds at {fps:g} frames per second)"
+            )
+
+    def _estimated(self, text: Any, seeds: Tensor) -> Tensor:
+        # The published estimator knows a class 0 (MARDM §6); no motion has no frames.
+        return self.length_estimator.predict(text, seeds).cpu().clamp(self.tokenizer.downsample, self.max_frames)
+
+    def _check_sources(self, motions: list[Motion]) -> None:
+        representation = self.tokenizer.representation
+        for i, motion in enumerate(motions):
+            if motion.skeleton != self.skeleton.name:
+                raise ValueError(f"motion {i} has the skeleton {motion.skeleton!r}, the model {self.skeleton.name!r}")
+            if motion.features.shape[1] < representation.width:
+                raise ValueError(
+                    f"motion {i} has {motion.features.shape[1]} feature columns, this model ({representation.kind}) "
+                    f"needs {representation.width}; extract them from its joints with kinema.motion.features.extract"
+                )
+            self._check_length(len(motion.features))
+
+    def _modules(self) -> list[nn.Module]:
+        return [m for m in (self.tokenizer, self.generator, self.length_estimator) if m is not None]
+
+    @classmethod
+    def from_run(
+        cls, path: str | Path, device: torch.device | str | None = None, *, length: str | Path | None = None
+    ) -> TextToMotion:
+        """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
+
+        `length` is the run folder of a length estimator, if `upstream.json` names none. Raises FileNotFoundError or
+        ValueError that name the part that is missing or unfit.
+        """
+        folder, device = Path(path), device or best_device()
+        generator, meta = load_part(folder, device)
+        if not hasattr(generator, "sample"):
+            raise ValueError(f"{folder} holds a {type(generator).__name__}; give the run folder of a generator")
+        upstream, text = read_json(folder / "upstream.json"), read_json(folder / "text.json")
+        for file, key, names in (("upstream.json", "tokenizer", upstream), ("text.json", "encoder", text)):
+            if key not in names:
+                raise ValueError(f"{folder / file} names no {key}; train or import this run again")
+        where = length or (folder / upstream["length"] if "length" in upstream else None)
+        encoder = build_text_encoder(text["encoder"], text.get("path"), device)
+        if meta.get("text", encoder.identity) != encoder.identity:
+            raise ValueError(
+                f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}"
+            )
+        return cls(
+            load_part(folder / upstream["tokenizer"], device)[0],
+            generator,
+            encoder,
+            load_part(Path(where), device)[0] if where else None,
+            {**meta, "text": text},
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the weights of all parts as one portable folder, whole or not at all; `from_run` loads it anywhere."""
+        path = Path(path)
+        if "text" not in self.meta:
+            raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
+        parts = {"": self.generator, "tokenizer": self.tokenizer, "length": self.length_estimator}
+        parts = {name: module for name, module in parts.items() if module is not None}
+        with new_folder(path) as staging:
+            for name, module in parts.items():
+                meta = {"text": self.text_encoder.identity} if name == "" else {}
+                artifacts.save(module, _spec(module), staging / name / artifacts.WEIGHTS, **meta)
+            write_json(staging / "upstream.json", {name: name for name in parts if name})
+            write_json(staging / "text.json", self.meta["text"])
+            write_json(staging / "status.json", {"state": "done"})
+        return path
+
+
+def best_device() -> torch.device:
+    """Choose cuda, else mps, else the CPU."""
+    if torch.cuda.is_available():
+        return torch.device("cuda")
+    return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
+
+
+def sample_seeds(seed: int | None, size: int) -> list[int]:
+    """Derive one seed per sample; the first is the seed itself (drawn if None), so that it alone repeats the list."""
+    seed = secrets.randbelow(2**31) if seed is None else seed
+    if not 0 <= seed < 2**63:
+        raise ValueError(f"seed {seed} is out of range; allowed: 0 to 2**63 - 1")
+    rest = (np.random.SeedSequence([seed, i]).generate_state(1, np.uint64)[0] for i in range(1, size))
+    return [seed, *(int(s) >> 16 for s in rest)]
+
+
+def _batches(size: int, batch_size: int) -> Iterator[slice]:
+    if batch_size < 1:
+        raise ValueError(f"batch_size is {batch_size}; give at least 1")
+    return (slice(i, i + batch_size) for i in range(0, size, batch_size))
+
+
+def _spread(values: Any, size: int) -> list:
+    """Repeat one value, or check that there is one per text."""
+    values = [values] * size if isinstance(values, int | float) else list(values)
+    if len(values) != size:
+        raise ValueError(f"got {len(values)} lengths for {size} texts; give one, or one per text")
+    return values
+
+
+def _paired(motions: Motion | Sequence[Motion], texts: str | Sequence[str]) -> tuple[list[Motion], list[str]]:
+    """Give motions and texts of one length; a single one goes with all of the others."""
+    motions = [motions] if isinstance(motions, Motion) else list(motions)
+    texts = check_texts([texts] if isinstance(texts, str) else list(texts))
+    size = max(len(motions), len(texts))
+    motions = motions * size if len(motions) == 1 else motions
+    texts = texts * size if len(texts) == 1 else texts
+    if len(motions) != len(texts):
+        raise ValueError(f"got {len(motions)} motions and {len(texts)} texts; give one text, or one per motion")
+    return motions, texts
+
+
+def _spec(module: nn.Module) -> dict[str, Any]:
+    spec = getattr(module, "spec", None)
+    if spec is None:
+        raise ValueError(
+            f"this {type(module).__name__} has no spec to save with; set module.spec to what kinema.build made it from"
+        )
+    return spec
