@@ -94,7 +94,7 @@ def _minilm() -> TokenTable:
     tokenizer = require("transformers", "the MiniLM tokens").AutoTokenizer.from_pretrained(
         folder, local_files_only=True
     )
-    split = _splitter(tokenizer, CONTEXT)
+    split = functools.partial(_split, tokenizer, CONTEXT)
     return TokenTable(_name("minilm", folder), tokens, positions[:CONTEXT].clone(), tokenizer.sep_token_id, split)
 
 
