@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -83,17 +84,15 @@ def _clip(path: str | Path | None) -> TokenTable:
     tokens, positions = _read(folder, f"{prefix}token_embedding.weight", f"{prefix}position_embedding.weight")
     tokenizer = clip_tokenizer(folder, config.get("text_config", config).get("vocab_size", len(tokens)))
     # CLIP's own rule, argmax of the ids, finds the end token because it is the last of the vocabulary.
-    return TokenTable(
-        _name("clip_b16", folder), tokens, positions, len(tokens) - 1, _splitter(tokenizer, len(positions))
-    )
+    split = functools.partial(_split, tokenizer, len(positions))
+    return TokenTable(_name("clip_b16", folder), tokens, positions, len(tokens) - 1, split)
 
 
 def _minilm() -> TokenTable:
     folder = minilm_folder()
     tokens, positions = _read(folder, "embeddings.word_embeddings.weight", "embeddings.position_embeddings.weight")
-    tokenizer = require("transformers", "the MiniLM tokens").AutoTokenizer.from_pretrained(
-        folder, local_files_only=True
-    )
+    transformers = require("transformers", "the MiniLM tokens")
+    tokenizer = transformers.AutoTokenizer.from_pretrained(folder, local_files_only=True)
     split = functools.partial(_split, tokenizer, CONTEXT)
     return TokenTable(_name("minilm", folder), tokens, positions[:CONTEXT].clone(), tokenizer.sep_token_id, split)
 
