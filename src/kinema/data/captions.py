@@ -36,7 +36,7 @@ def parse_line(line: str) -> AnnotatedCaption:
     parts = line.strip().rsplit("#", 3)
     if len(parts) == 3:
         raise ValueError(f"caption line {line.strip()!r} has three fields; write `caption#tokens#start#end`")
-    text, tokens, start, end = (*parts, "", "0", "0")[:4] if len(parts) < 4 else parts
+    text, tokens, start, end = parts + ["", "", "0", "0"][len(parts) :]
     if not text.strip():
         raise ValueError(f"caption line {line.strip()!r} has no caption before the first `#`")
     return AnnotatedCaption(Caption(text.strip(), tuple(tokens.split())), _seconds(start, line), _seconds(end, line))

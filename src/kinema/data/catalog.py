@@ -141,7 +141,8 @@ def _read_splits(root: Path, motions: str) -> dict[str, str]:
         raise FileNotFoundError(f"corpus folder {root} {state}; expected layout: {layout}")
     found: dict[str, str] = {}
     for split in SPLITS:
-        for name in (root / f"{split}.txt").read_text(encoding="utf-8-sig").split():
+        lines = (root / f"{split}.txt").read_text(encoding="utf-8-sig").splitlines()
+        for name in filter(None, map(str.strip, lines)):
             if name in found:
                 where = f"twice in {split}.txt" if found[name] == split else f"in {found[name]}.txt and {split}.txt"
                 raise ValueError(f"{root}: clip {name!r} is listed {where}; list it once")
@@ -153,7 +154,7 @@ def _read_splits(root: Path, motions: str) -> dict[str, str]:
 
 def _stems(folder: Path, suffix: str) -> set[str]:
     """List the names below a folder that have a suffix, without it; one directory scan instead of a stat per name."""
-    return {str(file.relative_to(folder).with_suffix("")) for file in folder.rglob(f"*{suffix}")}
+    return {file.relative_to(folder).as_posix().removesuffix(suffix) for file in folder.rglob(f"*{suffix}")}
 
 
 def _read_captions(file: Path) -> tuple[list[AnnotatedCaption], list[str]]:

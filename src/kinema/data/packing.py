@@ -1,0 +1,205 @@
+"""Write the files of a packed store, one clip at a time."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinema.data.captions import AnnotatedCaption
+from kinema.data.catalog import SPLITS, Clip, Dropped
+from kinema.data.store import CAPTION, CLIP, ENTRY, FORMAT, checksum
+from kinema.motion.skeleton import Skeleton
+from kinema.motion.statistics import Statistics
+from kinema.types import Caption
+
+ROWS = 1 << 16
+"""Rows read at a time for the statistics: 69 MB of full-width features."""
+
+
+class StoreWriter:
+    """Write clips to a folder in the order they come; `finish` writes the index and the manifest.
+
+    `tag_fps` turns the seconds of time-tagged captions into frames.
+    """
+
+    def __init__(self, folder: Path, name: str, skeleton: Skeleton, tag_fps: float) -> None:
+        self.folder, self.name, self.skeleton, self.tag_fps = folder, name, skeleton, tag_fps
+        self.frames = 0
+        self._clips: list[tuple] = []
+        self._entries: list[tuple] = []
+        self._captions: list[tuple[int, int]] = []
+        self._strings: dict[str, int] = {}
+        self._fields: list[dict[str, str]] = []
+        self._dropped: list[Dropped] = []
+        self._features_hash = hashlib.sha256()
+        self._index_hash = hashlib.sha256(f"kinema store {FORMAT} {skeleton.name}".encode())
+        self._file = (folder / "features.f32").open("wb")
+
+    def close(self) -> None:
+        """Close the features; needed where `finish` was not reached."""
+        self._file.close()
+
+    def drop(self, dropped: Dropped) -> None:
+        """Note what was left out."""
+        self._dropped.append(dropped)
+
+    def add(self, clip: Clip, features: np.ndarray) -> None:
+        """Append a clip's full-width features, and its entries: itself, and its time-tagged parts."""
+        rows = np.ascontiguousarray(features, dtype="<f4")
+        self._file.write(rows)
+        self._features_hash.update(rows)
+        split = SPLITS.index(clip.split)
+        self._clips.append((self.frames, len(rows), split, clip.mirrored, self._intern(clip.name)))
+        self._fields.append(clip.fields)
+        whole = [c for c in clip.captions if not c.tagged]
+        tagged = [c for c in clip.captions if c.tagged]
+        if whole or not tagged:
+            self._add_entry(clip, 0, len(rows), whole, -1)
+        for part, caption in enumerate(tagged):
+            start, stop = (min(int(t * self.tag_fps), len(rows)) for t in (caption.start, caption.end))
+            self._add_entry(clip, start, stop - start, [caption], part)
+        self.frames += len(rows)
+
+    def finish(self, statistics: Statistics | None, options: dict[str, Any]) -> dict[str, Any]:
+        """Write index, captions, statistics, the list of what was left out, and last the manifest, which it gives.
+
+        Raises ValueError if no clip was added.
+        """
+        self._file.close()
+        if not self._clips:
+            first = self._dropped[0].reason if self._dropped else "the source lists none"
+            raise ValueError(f"corpus {self.name!r} has no usable clip ({len(self._dropped)} left out, first: {first})")
+        computed = Statistics.compute(self._chunks(), self.skeleton)
+        (statistics or computed).save(self.folder / "statistics.npz")
+        self._write_index()
+        self._write_fields()
+        _dump(self.folder / "dropped.json", [vars(d) for d in self._dropped])
+        content = self._content_hash(statistics)
+        files = sorted(self.folder.iterdir())
+        # Hashed while they were written: reading gigabytes again would cost more than all the rest.
+        checksums = {f.name: checksum(f) for f in files if f.name != "features.f32"}
+        checksums["features.f32"] = self._features_hash.hexdigest()
+        manifest = {
+            "format": FORMAT,
+            "name": self.name,
+            "hash": content[:12],
+            "content_sha256": content,
+            "skeleton": self.skeleton.name,
+            "frames": self.frames,
+            "hours": round(self.frames / self.skeleton.fps / 3600, 3),
+            "splits": {split: self._count(i) for i, split in enumerate(SPLITS)},
+            "fields": self._field_names(),
+            "dropped": self._dropped_counts(),
+            "statistics": _compare(statistics, computed),
+            "options": options | {"tag_fps": self.tag_fps},
+            "sizes": {f.name: f.stat().st_size for f in files},
+            "checksums": checksums,
+        }
+        _dump(self.folder / "manifest.json", manifest)
+        return manifest
+
+    def bytes_per_clip(self) -> float:
+        """Give the mean size of the clips written so far, or that of the longest entry."""
+        frames = self.frames / len(self._clips) if self._clips else self.skeleton.max_frames
+        return 4 * self.skeleton.feature_width * frames
+
+    def _content_hash(self, own: Statistics | None) -> str:
+        """Hash features, index, captions and skeleton, and statistics where they are not a function of these."""
+        whole = self._index_hash.copy()
+        whole.update(self._features_hash.digest())
+        if own is not None:
+            whole.update(own.digest().encode())
+        return whole.hexdigest()
+
+    def _add_entry(self, clip: Clip, start: int, frames: int, captions: list[AnnotatedCaption], part: int) -> None:
+        low, high = self.skeleton.min_frames, self.skeleton.max_frames
+        if not low <= frames < high:
+            what = "the clip" if part < 0 else f"part {part} ({captions[0].start:g} to {captions[0].end:g} s)"
+            reason = f"{what} has {max(frames, 0)} frames, entries need {low} <= frames < {high}"
+            self.drop(Dropped(clip.name, clip.split, "entry", reason))
+            return
+        split, first = SPLITS.index(clip.split), len(self._captions)
+        self._captions += [self._caption(c.caption) for c in captions]
+        where = (self.frames + start, frames, split, clip.mirrored)
+        self._entries.append((*where, len(self._clips) - 1, first, len(captions), part))
+
+    def _caption(self, caption: Caption) -> tuple[int, int]:
+        return self._intern(caption.text), self._intern(" ".join(caption.tokens))
+
+    def _intern(self, text: str) -> int:
+        return self._strings.setdefault(text, len(self._strings))
+
+    def _write_index(self) -> None:
+        encoded = [text.encode("utf-8") for text in self._strings]
+        tables = {
+            "clips": np.array(self._clips, dtype=CLIP),
+            "entries": np.array(self._entries, dtype=ENTRY),
+            "captions": np.array(self._captions, dtype=CAPTION),
+            "string_ends": np.cumsum([len(e) for e in encoded], dtype="<i8"),
+        }
+        for name, table in tables.items():
+            np.save(self.folder / f"{name}.npy", table)
+            self._index_hash.update(table)
+        blob = b"".join(encoded)
+        (self.folder / "strings.utf8").write_bytes(blob)
+        self._index_hash.update(blob)
+
+    def _field_names(self) -> list[str]:
+        return list(dict.fromkeys(name for fields in self._fields for name in fields))
+
+    def _write_fields(self) -> None:
+        """Write every field as codes into the list of its values; fields do not enter the content hash."""
+        names = self._field_names()
+        values: dict[str, dict[str, int]] = {name: {} for name in names}
+        codes = np.zeros((len(self._fields), len(names)), dtype="<i4")
+        for row, fields in enumerate(self._fields):
+            for column, name in enumerate(names):
+                codes[row, column] = values[name].setdefault(fields.get(name, ""), len(values[name]))
+        np.save(self.folder / "fields.npy", codes)
+        _dump(self.folder / "fields.json", {name: list(found) for name, found in values.items()})
+
+    def _chunks(self) -> Iterator[np.ndarray]:
+        shape = (self.frames, self.skeleton.feature_width)
+        features = np.memmap(self.folder / "features.f32", dtype="<f4", mode="r", shape=shape)
+        yield from (features[start : start + ROWS] for start in range(0, self.frames, ROWS))
+
+    def _count(self, split: int) -> dict[str, int]:
+        clips = [c for c in self._clips if c[2] == split]
+        entries = [e for e in self._entries if e[2] == split]
+        return {
+            "clips": len(clips),
+            "frames": sum(c[1] for c in clips),
+            "entries": sum(e[6] > 0 for e in entries),
+            "entries_without_captions": sum(e[6] == 0 for e in entries),
+            "captions": sum(e[6] for e in entries),
+        }
+
+    def _dropped_counts(self) -> dict[str, int]:
+        counts = Counter(d.what for d in self._dropped)
+        return {what: counts[what] for what in ("missing", "clip", "entry", "caption")}
+
+
+def _compare(own: Statistics | None, computed: Statistics) -> dict[str, Any]:
+    """Say where the statistics come from, and how far a folder's own lie from those of its features.
+
+    `mean_deviation` is in standard deviations; `std_ratio` is (least, greatest) of own over computed.
+    """
+    if own is None:
+        return {"source": "computed", "digest": computed.digest()}
+    ratio = own.std / computed.std
+    return {
+        "source": "folder",
+        "digest": own.digest(),
+        "mean_deviation": float(np.abs((own.mean - computed.mean) / computed.std).max()),
+        "std_ratio": [float(ratio.min()), float(ratio.max())],
+    }
+
+
+def _dump(file: Path, value: Any) -> None:
+    file.write_text(json.dumps(value, indent=1, ensure_ascii=False), encoding="utf-8")

@@ -1,0 +1,215 @@
+"""Turn any corpus into a packed store: features, index, captions, statistics and a manifest, whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import importlib
+import json
+import multiprocessing
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from kinema.data.catalog import Catalog, Clip, Dropped
+from kinema.data.convert import convert
+from kinema.data.packing import StoreWriter
+from kinema.data.store import FORMAT, PackedStore
+from kinema.motion.skeleton import get_skeleton
+
+try:
+    import fcntl
+except ImportError:  # Windows: two processes may do the same work twice, and the second finds the first's store
+    fcntl = None
+
+VERSION = 1
+"""Raised when preparing the same corpus gives another store, so that stores made before are not taken for it."""
+
+READERS = {
+    "joints": "kinema.data.catalog:read_joints_folder",
+    "official": "kinema.data.catalog:read_official",
+    "synthetic": "kinema.data.synthetic:synthetic_catalog",
+}
+"""Readers by name: `reader(source, **options) -> Catalog`; add a corpus format here."""
+
+
+def prepare_store(
+    reader: str,
+    source: str | Path | None,
+    out_root: str | Path,
+    *,
+    name: str,
+    skeleton: str = "humanml3d",
+    mirror: bool | None = None,
+    legacy_fps: bool = False,
+    max_missing: float = 0.05,
+    processes: int = 1,
+    **reader_options: Any,
+) -> Path:
+    """Prepare a corpus below `out_root`, or give the store that the same request made before, in milliseconds.
+
+    The request is the reader, the options, and names, sizes and times of the source's files; `source` is None for a
+    corpus that is generated. `mirror` defaults to True, except for official folders, which hold their mirrored clips
+    already. The other options are those of `prepare`; what is left goes to the reader.
+    """
+    if reader not in READERS:
+        raise ValueError(f"unknown reader {reader!r}; choose one of {', '.join(READERS)}")
+    mirror = reader != "official" if mirror is None else mirror
+    options = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
+    asked = [FORMAT, VERSION, reader, options, max_missing, reader_options, _listing(source)]
+    request = hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
+    out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
+    if _request_of(out) == request:
+        return out
+    module, _, function = READERS[reader].partition(":")
+    read = getattr(importlib.import_module(module), function)
+    if reader == "official":
+        reader_options["skeleton"] = skeleton
+    catalog = read(**reader_options) if source is None else read(source, **reader_options)
+    return prepare(catalog, out, **options, max_missing=max_missing, processes=processes, request=request)
+
+
+def prepare(
+    clips: Catalog | Iterable[Clip],
+    out_dir: str | Path,
+    *,
+    name: str,
+    skeleton: str = "humanml3d",
+    mirror: bool = True,
+    legacy_fps: bool = False,
+    max_missing: float = 0.05,
+    processes: int = 1,
+    request: str | None = None,
+) -> Path:
+    """Write clips as a packed store at `out_dir`; nothing half-written stays, whatever happens.
+
+    Clips of joints are checked and turned into features; with `mirror`, also left-right mirrored under `MNAME`, with
+    their captions. `legacy_fps` reads time tags at 20 fps for every corpus, as published for KIT. `processes` changes
+    only the time it takes. A store that the same `request` made is given back at once.
+
+    Raises ValueError if no clip is usable, if more than the share `max_missing` of the listed clips lacks its files,
+    if an array has the wrong shape, or if `out_dir` holds another content.
+    """
+    out, body = Path(out_dir), get_skeleton(skeleton)
+    catalog = clips if isinstance(clips, Catalog) else Catalog(list(clips))
+    _check_catalog(catalog, name, mirror, max_missing)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with _lock(out.with_name(f".{out.name}.lock")):
+        if request is not None and _request_of(out) == request:
+            return out
+        partial = out.with_name(out.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)  # left by a process that was killed, since we hold the lock
+        partial.mkdir()
+        try:
+            writer = StoreWriter(partial, name, body, tag_fps=20.0 if legacy_fps else body.fps)
+            options = {"request": request, "mirror": mirror, "legacy_fps": legacy_fps}
+            manifest = _write(catalog, writer, options, processes)
+            _move(partial, out, manifest["hash"])
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    return out
+
+
+def _check_catalog(catalog: Catalog, name: str, mirror: bool, max_missing: float) -> None:
+    missing = [d for d in catalog.dropped if d.what == "missing"]
+    listed = len(catalog) + len(missing)
+    if len(missing) > max_missing * listed:
+        raise ValueError(
+            f"corpus {name!r}: {len(missing)} of {listed} listed clips lack their files, more than the allowed share "
+            f"{max_missing:g} (first, {missing[0].name}: {missing[0].reason}); complete the folder or raise max_missing"
+        )
+    if mirror and any(clip.features is not None for clip in catalog):
+        raise ValueError(
+            f"corpus {name!r}: clips that come as features cannot be mirrored (official folders hold their mirrored "
+            "clips already); pass mirror=False, or prepare from joints"
+        )
+
+
+def _write(catalog: Catalog, writer: StoreWriter, options: dict[str, Any], processes: int) -> dict[str, Any]:
+    """Write every file of the store; if the disk is full, say how much room is needed."""
+    taken = {clip.name for clip in catalog}
+    jobs = [(clip, writer.skeleton.name, options["mirror"] and _unmirrored(clip, taken)) for clip in catalog]
+    try:
+        for dropped in catalog.dropped:
+            writer.drop(dropped)
+        for clip, made in zip(catalog, _map(convert, jobs, processes), strict=True):
+            if isinstance(made, Dropped):
+                writer.drop(made)
+                continue
+            writer.add(clip, made[0])
+            if len(made) == 2:
+                captions = [caption.mirrored() for caption in clip.captions]
+                writer.add(replace(clip, name=f"M{clip.name}", captions=captions, mirrored=True), made[1])
+        return writer.finish(catalog.statistics, options)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        raise OSError(errno.ENOSPC, _no_room(writer, len(catalog) * (2 if options["mirror"] else 1))) from error
+    finally:
+        writer.close()
+
+
+def _no_room(writer: StoreWriter, clips: int) -> str:
+    needed = writer.bytes_per_clip() * clips / 1e9
+    free = shutil.disk_usage(writer.folder.parent).free / 1e9
+    return (
+        f"no room left below {writer.folder.parent} for corpus {writer.name!r}: it needs about {needed:.2f} GB, "
+        f"{free:.2f} GB are free now; nothing was kept. Free some room or choose another folder"
+    )
+
+
+def _unmirrored(clip: Clip, taken: set[str]) -> bool:
+    return not clip.mirrored and f"M{clip.name}" not in taken
+
+
+def _map(work: Callable, jobs: list, processes: int) -> Iterator:
+    """Do the jobs in order, in this process or in several."""
+    if processes <= 1:
+        yield from map(work, jobs)
+        return
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(work, jobs, chunksize=16)
+
+
+def _move(partial: Path, out: Path, content: str) -> None:
+    """Put the finished store in its place, unless the same content is there."""
+    if not out.exists():
+        os.replace(partial, out)
+    elif not (out / "manifest.json").is_file():
+        raise ValueError(f"{out} exists and is no packed corpus; choose another folder")
+    elif PackedStore.open(out).hash != content:
+        raise ValueError(f"{out} holds a corpus of another content; delete it or choose another folder")
+
+
+def _request_of(store: Path) -> str | None:
+    """Give the request that made a store, None where there is no store."""
+    file = store / "manifest.json"
+    return json.loads(file.read_text(encoding="utf-8"))["options"]["request"] if file.is_file() else None
+
+
+def _listing(source: str | Path | None) -> str:
+    """Name a source's files cheaply: paths below it, sizes and times."""
+    if source is None:
+        return ""
+    root, found = Path(source), hashlib.sha256()
+    for folder, folders, files in os.walk(root):
+        folders.sort()
+        for file in sorted(files):
+            status = os.stat(os.path.join(folder, file))
+            found.update(f"{os.path.relpath(folder, root)}/{file} {status.st_size} {status.st_mtime_ns}\n".encode())
+    return found.hexdigest()
+
+
+@contextmanager
+def _lock(file: Path) -> Iterator[None]:
+    """Let one process at a time prepare a store; the lock goes with the process, and stays free after a crash."""
+    with file.open("w") as stream:
+        if fcntl is not None:
+            fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
