@@ -7,7 +7,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from kinema.interop.checkpoint import Rules, count, representation_spec, require, transfer
+from kinema.interop.checkpoint import Rules, count, require, transfer
+from kinema.interop.representation import fit_statistics, representation_spec
 
 
 def conv_rules(levels: int, prefix: str = "") -> Rules:
@@ -46,7 +47,7 @@ def load(
     levels = count(state, r"encoder\.model\.(\d+)\.0\.weight")
     spec = {
         "_target_": "kinema.tokenizers.autoencoder.AutoEncoder",
-        "representation": representation_spec(features, kind=kind),
+        "representation": representation_spec(features),
         "width": width,
         "latent_dim": require(state, f"encoder.model.{levels + 2}.weight", kind=kind).shape[0],
         "depth": count(state, r"encoder\.model\.2\.1\.model\.(\d+)\."),
@@ -55,4 +56,4 @@ def load(
         "joint_weight": joint_weight,
         "mask_padding": mask_padding,
     }
-    return transfer(spec, state, conv_rules(levels), kind=kind, statistics=statistics)
+    return fit_statistics(transfer(spec, state, conv_rules(levels), kind=kind), statistics)

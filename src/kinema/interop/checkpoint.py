@@ -16,8 +16,6 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from kinema.build import build
-from kinema.motion.skeleton import SKELETONS
-from kinema.motion.statistics import Statistics
 
 Rules = Sequence[tuple[str, str | None]]
 """Pattern of a whole published key -> our key (`\\1` inserts groups), or None for a key that is not needed."""
@@ -81,15 +79,20 @@ def unwrap(content: Mapping[str, Any], wrappers: Sequence[str], *, several: bool
 
 
 def transfer(
-    spec: dict[str, Any], state: Mapping[str, Tensor], rules: Rules, *, kind: str, statistics: Any = None
+    model: dict[str, Any] | nn.Module,
+    state: Mapping[str, Tensor],
+    rules: Rules,
+    *,
+    kind: str,
+    ours: Sequence[str] = ("representation.",),
 ) -> nn.Module:
-    """Build `spec` and load published tensors into it under the names that the first matching rule gives them.
+    """Load published tensors into a model under the names that the first matching rule gives them.
 
-    The module keeps its spec as `.spec`, so that it can be saved as an artifact. Its `representation`, which published
-    files don't hold, is fitted to `statistics`. Raises ValueError that lists the unknown keys, the missing ones and
-    those of another shape (the first few of each).
+    `model` is best the spec to build, which the module then keeps as `.spec`, so that it can be saved as an artifact.
+    `ours` are prefixes of our own entries that published files don't have. Raises ValueError that lists the unknown
+    keys, the missing ones and those of another shape (the first few of each).
     """
-    module = build(spec)
+    module = build(model) if isinstance(model, dict) else model
     renamed, unknown = {}, []
     for key, value in state.items():
         rule = next(((p, to) for p, to in rules if re.fullmatch(p, key)), None)
@@ -97,7 +100,7 @@ def transfer(
             unknown.append(key)
         elif rule[1] is not None:
             renamed[re.sub(f"^{rule[0]}$", rule[1], key)] = value
-    expected = {k: v for k, v in module.state_dict().items() if not k.startswith("representation.")}
+    expected = {k: v for k, v in module.state_dict().items() if not k.startswith(tuple(ours))}
     problems = {
         "unknown": unknown + [k for k in renamed if k not in expected],
         "missing": [k for k in expected if k not in renamed],
@@ -111,30 +114,9 @@ def transfer(
         listed = "; ".join(f"{len(keys)} {what}: {_few(keys)}" for what, keys in problems.items() if keys)
         raise ValueError(f"this state dict is not that of a {kind!r}: {listed}")
     module.load_state_dict(renamed, strict=False)
-    module.spec = spec
-    if statistics is not None:
-        module.representation.fit(read_statistics(statistics))
+    if isinstance(model, dict):
+        module.spec = model
     return module
-
-
-def representation_spec(width: int, *, kind: str) -> dict[str, str]:
-    """Name the representation whose rows have `width` columns (67/64 essential, 263/251 redundant)."""
-    for skeleton in SKELETONS.values():
-        for name, columns in (("essential", skeleton.essential_width), ("redundant", skeleton.feature_width)):
-            if columns == width:
-                target = "kinema.motion.representation.Representation"
-                return {"_target_": target, "kind": name, "skeleton": skeleton.name}
-    raise ValueError(f"this {kind!r} reads features of width {width}; known widths: 67, 263 (HumanML3D), 64, 251 (KIT)")
-
-
-def read_statistics(source: Any) -> Statistics:
-    """Take a `Statistics`, a file or folder that `Statistics.load` reads, or a pair of .npy paths (mean, std)."""
-    if isinstance(source, Statistics):
-        return source
-    if isinstance(source, str | Path):
-        return Statistics.load(source)
-    mean, std = (np.load(path, allow_pickle=False).astype(np.float64) for path in source)
-    return Statistics(mean, std)
 
 
 def require(state: Mapping[str, Tensor], key: str, *, kind: str) -> Tensor:
