@@ -1,0 +1,30 @@
+"""Score one row of a table: `python evaluate.py source=generation method=mardm_sit data=open_mocap`."""
+
+from __future__ import annotations
+
+import sys
+
+import hydra
+from omegaconf import DictConfig
+
+from kinema.experiments.config import register_resolvers
+
+register_resolvers()
+
+
+@hydra.main(config_path="conf", config_name="evaluate", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Append the replications that are missing; one replication is one JSON line."""
+    # Imported here: --help must not pay for torch.
+    from kinema.experiments.evaluation import run_evaluation
+
+    try:
+        run_evaluation(cfg)
+    except (ValueError, OSError) as error:
+        if cfg.debug.enabled:
+            raise
+        sys.exit(f"error: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Turn configs into runs, results and tables: the only package that knows Hydra."""

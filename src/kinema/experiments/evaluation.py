@@ -1,0 +1,120 @@
+"""Score one row: build its source and the judges, append the replications that are missing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from kinema.experiments.config import plain, validate
+from kinema.experiments.corpus import manifest, open_corpus
+from kinema.experiments.identity import fingerprint
+from kinema.experiments.run import run_stage, stage_folder
+from kinema.experiments.runs import RunFolder, append_line, console, read_lines, versions
+from kinema.experiments.stages import STAGES
+
+NEEDS = {"real": (), "shuffled": (), "nearest": (), "noise": ("tokenizer",), "reconstruction": ("tokenizer",)}
+"""The runs a source reads beside the judges'; generation reads the generator's, which knows its tokenizer."""
+
+JUDGES = ("matching", "contrastive")
+
+
+@dataclass(frozen=True)
+class Row:
+    """Hold an evaluation's place, what it reads and how many replications it has."""
+
+    folder: RunFolder
+    runs: dict[str, Path]
+    replications: int
+
+    @property
+    def lines(self) -> list[dict[str, Any]]:
+        """Give the results by replication, each at most once."""
+        found = {line["replication"]: line for line in read_lines(self.folder.path / "replications.jsonl")}
+        return [found[r] for r in range(self.replications) if r in found]
+
+
+def describe(cfg: DictConfig) -> Row:
+    """Find the folder of an evaluation without running anything (no torch)."""
+    validate(cfg)
+    store = open_corpus(cfg)
+    corpus = manifest(store)["hash"]
+    runs = {name: stage_folder(cfg, STAGES[name], corpus).path for name in JUDGES}
+    given = plain(cfg.get("evaluators") or {})
+    runs |= {stage: Path(given[key]) for stage, key in (("matching", "t2m"), ("contrastive", "clip")) if given.get(key)}
+    for name in NEEDS.get(cfg.source, ("generator",)):
+        runs[name] = Path(cfg.run) if cfg.get("run") else stage_folder(cfg, STAGES[name], corpus).path
+    protocol = plain(cfg.scale.protocol)
+    replications = protocol.pop("replications")
+    identity = {
+        "source": cfg.source,
+        "corpus": corpus,
+        "protocol": protocol,
+        "runs": {name: fingerprint(_identity_of(path)) for name, path in runs.items()},
+        "sampling": plain(cfg.generator.sampling) if cfg.source == "generation" else None,
+        "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
+    }
+    own_run = cfg.source == "generation" or (cfg.source in NEEDS and NEEDS[cfg.source])
+    who = f"-{runs['generator'].name if cfg.get('run') else cfg.method.name}" if own_run else ""
+    name = f"{cfg.source}{who}-{cfg.representation.kind}-s{cfg.seed}-{fingerprint(identity)}"
+    root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
+    return Row(RunFolder(root / "evaluation" / name), runs, replications)
+
+
+def _identity_of(run: Path) -> str:
+    """Identify a run: by its name (which ends in its fingerprint), an imported one by its weights."""
+    status = RunFolder(run).status
+    return str(status.get("weights_sha256", run.name))
+
+
+def run_evaluation(cfg: DictConfig) -> Row:
+    """Compute the replications that a row lacks; finished ones are never computed again."""
+    row = describe(cfg)
+    if len(row.lines) == row.replications:
+        console.print(f"cached    {row.folder.path}")
+        return row
+    for name, path in row.runs.items():
+        own = stage_folder(cfg, STAGES[name], manifest(open_corpus(cfg))["hash"]).path == path
+        if own:
+            run_stage(cfg, name, quiet=True)
+        elif not RunFolder(path).weights.exists():
+            raise FileNotFoundError(
+                f"{path} holds no weights.safetensors; give the folder of a finished or imported run"
+            )
+    with row.folder.lock():
+        done = {line["replication"] for line in row.lines}
+        missing = [r for r in range(row.replications) if r not in done]
+        if missing:
+            _score(cfg, row, missing)
+    return row
+
+
+def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:
+    from kinema.experiments.scoring import Scorer
+
+    console.print(f"evaluate  {row.folder.path}: replications {', '.join(map(str, missing))} of {row.replications}")
+    resolved = plain(cfg)
+    resolved.pop("hydra", None)
+    OmegaConf.save(OmegaConf.create(resolved), row.folder.path / "config.yaml")
+    # Lines may have been deleted or torn: what is kept is written back whole before anything is added.
+    scorer = Scorer(cfg, row.runs, open_corpus(cfg))
+    software = versions()
+    for replication in missing:
+        started = time.monotonic()
+        result = scorer.replicate(replication)
+        if replication == 0:
+            scorer.save_samples(row.folder.path / "samples.npz", result)
+        line = {
+            "replication": replication,
+            "metrics": result.metrics,
+            "breakdowns": result.breakdowns,
+            "seconds": round(time.monotonic() - started, 2),
+            "provenance": {**scorer.provenance, "versions": software},
+        }
+        append_line(row.folder.path / "replications.jsonl", line)
+        shown = " ".join(f"{k} {result.metrics[k]:.3f}" for k in ("r1", "r3", "fid", "matching") if k in result.metrics)
+        console.print(f"  replication {replication}: {shown} ({line['seconds']:.0f} s)")
+    row.folder.mark("done", versions=software)

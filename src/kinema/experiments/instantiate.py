@@ -1,0 +1,61 @@
+"""Make live objects of configs and run folders: model specs, text encoders, evaluators, whole pipelines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig
+from torch import nn
+
+from kinema import artifacts
+from kinema.experiments.config import plain
+from kinema.experiments.stages import Stage
+from kinema.text.cache import CachedTextEncoder
+from kinema.text.encoders import build_text_encoder
+from kinema.text.tokens import clip_tokens
+from kinema.text.words import word_vectors
+
+
+def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
+    """Give the plain spec that kinema.build makes the stage's model of."""
+    node = plain(stage.config(cfg))
+    spec = dict(node["model"])
+    if "sampling" in node:
+        spec["sampling"] = node["sampling"]
+    if stage.name == "contrastive":
+        spec |= token_sizes(cfg)
+    return spec
+
+
+def read_model(run: Path) -> tuple[nn.Module, dict[str, Any]]:
+    """Load a run's selected weights on the CPU, in eval mode and without gradients."""
+    model, meta = artifacts.load(Path(run) / "weights.safetensors")
+    return model.eval().requires_grad_(False), meta
+
+
+def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:
+    """Give the method's frozen text encoder behind its on-disk cache."""
+    encoder = build_text_encoder(cfg.text.name, path=cfg.text.path, device=device)
+    return CachedTextEncoder(encoder, Path(cfg.paths.cache) / "text")
+
+
+def token_sizes(cfg: DictConfig) -> dict[str, Any]:
+    """Give the sizes of the CLIP-style evaluator that its token table decides."""
+    table = clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
+    return {"vocabulary": table.embedding.shape[0], "token_width": table.embedding.shape[1], "context": table.context}
+
+
+def attach_text(cfg: DictConfig, stage: Stage, model: nn.Module) -> str:
+    """Attach an evaluator's word vectors or token table; give its identity, which results name."""
+    if stage.name == "contrastive":
+        table = clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
+    else:
+        table = word_vectors(cfg.evaluator.words, path=cfg.evaluator.words_path)
+        if table.width != cfg.evaluator.word_width:
+            raise ValueError(
+                f"evaluator.word_width={cfg.evaluator.word_width}, but the vectors {table.identity} have width "
+                f"{table.width}; set evaluator.word_width={table.width}"
+            )
+    model.attach(table)
+    return table.identity

@@ -1,0 +1,109 @@
+"""Reproduce a table: run what its rows lack as Hydra multiruns, then render it.
+
+`python -m kinema.experiments.reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+from kinema.experiments.config import CONF
+from kinema.experiments.runs import RunFolder, console
+from kinema.experiments.tables import TableRow, load_table, plan, render_table
+
+ROOT = CONF.parent
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Parse the command line and reproduce the table."""
+    parser = argparse.ArgumentParser(prog="python -m kinema.experiments.reproduce", description=__doc__)
+    parser.add_argument("table", help="a file of conf/table, for instance table5")
+    parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")
+    parser.add_argument("--render-only", action="store_true", help="render what there is; run nothing")
+    parser.add_argument("--out", type=Path, help="folder of the report (default: reports/TABLE)")
+    options = parser.parse_args(arguments)
+    try:
+        reproduce(options.table, options.overrides, render_only=options.render_only, out=options.out)
+    except (ValueError, OSError) as error:
+        sys.exit(f"error: {error}")
+
+
+def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out: Path | None = None) -> None:
+    """Run the missing stages and replications of a table and render it."""
+    table = load_table(name)
+    shared = [o for o in overrides if not o.startswith("launcher=")]
+    rows = plan(table, shared)
+    if not render_only:
+        for script, choices in missing_work(rows):
+            command = [sys.executable, f"{script}.py", "-m", *overrides, *choices]
+            console.print(f"[bold]run[/]       {script}.py -m {' '.join([*overrides, *choices])}")
+            if subprocess.run(command, cwd=ROOT).returncode:
+                raise OSError(
+                    f"`{script}.py -m {' '.join([*overrides, *choices])}` failed (see above); what is finished is "
+                    "kept: run the same command again after mending the cause"
+                )
+        rows = plan(table, shared)
+    command = f"make reproduce-{name} " + " ".join(f"{k.upper()}={v}" for k, v in (o.split("=", 1) for o in shared))
+    out = out or ROOT / "reports" / name
+    for path in render_table(table, rows, out, command.strip()):
+        console.print(f"wrote     {path}")
+    lacking = [row.spec["label"] for row in rows if row.cfg is not None and not row.complete]
+    if lacking:
+        console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
+    console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
+
+
+def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
+    """Give the multiruns that a table still needs, upstream first; none when everything is there."""
+    ours = [row for row in rows if row.cfg is not None and not row.complete]
+    work: list[tuple[str, list[str]]] = []
+    for stages in (("matching", "contrastive"), ("tokenizer",), ("generator", "length")):
+        lacking = [row for row in ours if any(_lacks(row, s) for s in stages)]
+        methods = sorted({row.spec["method"] for row in lacking if "method" in row.spec})
+        if stages[0] == "matching" and lacking:
+            work.append(("train", [f"stage={','.join(stages)}"]))
+        elif methods:
+            work.append(("train", [f"stage={','.join(stages)}", f"method={','.join(methods)}"]))
+    groups: dict[tuple[str, ...], tuple[list[str], list[str]]] = {}
+    for row in ours:
+        extra = tuple(row.spec.get("overrides", []))
+        generation = row.spec["source"] == "generation"
+        sources, methods = groups.setdefault((str(generation), *extra), ([], []))
+        if row.spec["source"] not in sources:
+            sources.append(row.spec["source"])
+        if row.spec.get("method") and row.spec["method"] not in methods:
+            methods.append(row.spec["method"])
+    for (_, *extra), (sources, methods) in groups.items():
+        choice = [f"method={','.join(methods)}"] if methods else []
+        work.append(("evaluate", [f"source={','.join(sources)}", *choice, *extra]))
+    return work
+
+
+def _lacks(row: TableRow, stage: str) -> bool:
+    run = row.place.runs.get(stage)
+    if stage == "tokenizer" and "generator" in row.place.runs:
+        return not RunFolder(row.place.runs["generator"]).done
+    return run is not None and not RunFolder(run).done
+
+
+def total_seconds(rows: list[TableRow]) -> float:
+    """Add the recorded seconds of every run and replication behind the table, each once."""
+    runs = {path for row in rows if row.place for path in row.place.runs.values()}
+    runs |= {(path / link).resolve() for path in list(runs) for link in _links(path)}
+    training = sum(RunFolder(path).status.get("seconds", 0.0) for path in {p.resolve() for p in runs})
+    places = {row.place.folder.path: row.place for row in rows if row.place}
+    return training + sum(line["seconds"] for place in places.values() for line in place.lines)
+
+
+def _links(run: Path) -> list[str]:
+    import json
+
+    file = run / "upstream.json"
+    return list(json.loads(file.read_text()).values()) if file.exists() else []
+
+
+if __name__ == "__main__":
+    main()

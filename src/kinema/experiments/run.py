@@ -1,0 +1,76 @@
+"""Run one stage: find it finished, resume it, or train it; upstream runs first."""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+
+from kinema.experiments.config import plain, validate
+from kinema.experiments.corpus import manifest, open_corpus
+from kinema.experiments.identity import fingerprint, stage_identity
+from kinema.experiments.runs import RunFolder, console, versions, write_json
+from kinema.experiments.stages import STAGES, Stage, label
+
+
+def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
+    """Name the run folder that a configuration's stage has."""
+    root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
+    name = f"{label(cfg, stage)}-{fingerprint(stage_identity(cfg, stage, corpus_hash))}"
+    return RunFolder(root / stage.name / name)
+
+
+def command(cfg: DictConfig, stage: Stage) -> str:
+    """Give the command that trains a stage of this configuration."""
+    return f"python train.py stage={stage.name} method={cfg.method.name} data={cfg.data.name} scale={cfg.scale.name}"
+
+
+def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
+    """Give the finished run of a stage, training what is missing.
+
+    Raises FileNotFoundError naming the command where an upstream run is missing and `ensure` is false.
+    """
+    validate(cfg)
+    stage = STAGES[name]
+    store = open_corpus(cfg)
+    folder = stage_folder(cfg, stage, manifest(store)["hash"])
+    if folder.done:
+        if not quiet:
+            console.print(f"cached    {folder.path}")
+        return folder
+    upstream = {}
+    for needed in stage.upstream:
+        found = stage_folder(cfg, STAGES[needed], manifest(store)["hash"])
+        if not found.done and not cfg.ensure:
+            raise FileNotFoundError(
+                f"stage {name} needs the {needed} run {found.path}, which isn't finished; train it with "
+                f"`{command(cfg, STAGES[needed])}` or set ensure=true"
+            )
+        upstream[needed] = run_stage(cfg, needed, quiet=True)
+    with folder.lock():
+        if folder.done:
+            console.print(f"cached    {folder.path}")
+            return folder
+        _train(cfg, stage, store, folder, upstream)
+    return folder
+
+
+def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> None:
+    from kinema.experiments.training import train_stage
+
+    resumed = (folder.path / "checkpoints" / "last.ckpt").exists()
+    console.print(f"{'resume' if resumed else 'train ':<9} {folder.path}")
+    resolved = plain(cfg)
+    resolved.pop("hydra", None)
+    OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")
+    links = {k: str(Path("..", "..", v.path.parent.name, v.path.name)) for k, v in upstream.items()}
+    write_json(folder.path / "upstream.json", links)
+    folder.mark("running", versions=versions())
+    try:
+        result = train_stage(cfg, stage, store, folder, upstream)
+    except BaseException as error:
+        folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
+        raise
+    folder.mark("done", **result)
+    console.print(f"done      {folder.path} in {result['seconds']:.0f} s")

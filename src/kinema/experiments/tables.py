@@ -1,0 +1,153 @@
+"""Read a table's description, find its rows' results, and render them beside the published numbers (no torch)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from kinema.experiments.config import CONF, compose, plain
+from kinema.experiments.evaluation import Row, describe
+
+WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
+"""Config groups that a table takes from its caller; the rest is the table's own."""
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """Hold one row: its description, its configuration and where its results are (None: no such method yet)."""
+
+    spec: dict[str, Any]
+    cfg: DictConfig | None
+    place: Row | None
+
+    @property
+    def complete(self) -> bool:
+        """Say whether every replication has its line."""
+        return self.place is not None and len(self.place.lines) == self.place.replications
+
+
+def load_table(name: str) -> dict[str, Any]:
+    """Read conf/table/NAME.yaml; raises FileNotFoundError naming the tables there are."""
+    path = CONF / "table" / f"{name}.yaml"
+    if not path.exists():
+        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
+        raise FileNotFoundError(f"there is no table {name!r}; tables: {known}")
+    return plain(OmegaConf.load(path))
+
+
+def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
+    """Compose every row's configuration and find its folder."""
+    rows = []
+    for spec in table["rows"]:
+        if "source" not in spec:
+            rows.append(TableRow(spec, None, None))
+            continue
+        cfg = compose([*overrides, *row_overrides(spec)], "evaluate")
+        rows.append(TableRow(spec, cfg, describe(cfg)))
+    return rows
+
+
+def row_overrides(spec: dict[str, Any]) -> list[str]:
+    """Give the overrides that make a row of the defaults."""
+    method = [f"method={spec['method']}"] if "method" in spec else []
+    return [f"source={spec['source']}", *method, *spec.get("overrides", [])]
+
+
+def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
+    """Write table.md, table.csv, table.tex and index.html; an incomplete row's cells stay empty."""
+    from kinema.experiments.kept_samples import read_samples
+    from kinema.experiments.report import render
+
+    some = next(row for row in rows if row.cfg is not None)
+    paper = some.cfg.data.paper
+    published = table["paper"].get(paper or "humanml3d", {})
+    results = {row.spec["key"]: _results(row) for row in rows}
+    filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
+    filled.pop("paper")
+    beside = filled.pop("beside", [])
+    filled["comparable"] = paper is not None and some.cfg.scale.name == "paper"
+    filled["corpus"] = some.cfg.data.name
+    filled["scale"] = some.cfg.scale.name
+    filled["provenance"] = provenance(rows, command)
+    filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]
+    motions = {
+        row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")
+        for row in rows
+        if results[row.spec["key"]] and "metrics" not in row.spec
+    }
+    return render(filled, out, {k: v for k, v in motions.items() if v})
+
+
+def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
+    """Collect what the results of all rows say of themselves."""
+    lines = [line["provenance"] for row in rows if row.complete for line in row.place.lines]
+    if not lines:
+        return {"command": command}
+    first = lines[0]
+    found = {k: first[k] for k in ("corpus", "statistics", "words", "tokens", "protocol", "device")}
+    found["evaluators"] = {k: first["runs"][k] for k in ("matching", "contrastive")}
+    found["text encoder"] = sorted({line["text_encoder"] for line in lines if line["text_encoder"]})
+    found["sampling"] = {
+        row.spec["label"]: row.place.lines[0]["provenance"]["sampling"]
+        for row in rows
+        if row.complete and row.place.lines[0]["provenance"]["sampling"]
+    }
+    found["seeds"] = sorted({line["seed"] for line in lines})
+    found["versions"] = sorted({", ".join(f"{k} {v}" for k, v in sorted(line["versions"].items())) for line in lines})
+    return {**found, "command": command}
+
+
+def _results(row: TableRow) -> list[dict[str, Any]]:
+    """Give the metrics by replication, none at all where a replication is missing."""
+    if not row.complete:
+        return []
+    renamed = row.spec.get("metrics")
+    metrics = [line["metrics"] for line in row.place.lines]
+    return [{key: m[name] for key, name in renamed.items()} for m in metrics] if renamed else metrics
+
+
+def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
+    spec = row.spec
+    return {
+        "key": spec["key"],
+        "label": spec["label"],
+        "kind": spec["kind"],
+        "note": spec.get("note", "" if "source" in spec else "this method is not in Kinema yet"),
+        "published": published.get(spec["key"]),
+        "results": results,
+    }
+
+
+def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    shown = [{**row, "published": None} for row in rows if row["results"]]
+    return {"title": "Beside the paper's metrics", "columns": columns, "rows": shown}
+
+
+BREAKDOWN_COLUMNS = [
+    {"key": "n", "label": "clips", "better": "none", "digits": 0},
+    {"key": "r1", "label": "R@1", "better": "higher", "digits": 3},
+    {"key": "r3", "label": "R@3", "better": "higher", "digits": 3},
+    {"key": "matching", "label": "Matching", "better": "lower", "digits": 3},
+    {"key": "fid", "label": "FID", "better": "lower", "digits": 3},
+]
+
+
+def _breakdowns(rows: list[TableRow], results: dict[str, list]) -> list[dict[str, Any]]:
+    """Give one table per manifest field: every row's metrics by the field's values."""
+    fields: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        if not results[row.spec["key"]] or "metrics" in row.spec:
+            continue
+        lines = row.place.lines
+        for name in sorted(lines[0]["breakdowns"]):
+            for value in sorted({v for line in lines for v in line["breakdowns"][name]}):
+                cells = [line["breakdowns"][name][value] for line in lines if value in line["breakdowns"][name]]
+                label = f"{row.spec['label']}: {value}"
+                entry = {"key": f"{row.spec['key']}-{value}", "label": label, "kind": row.spec["kind"], "note": ""}
+                fields.setdefault(name, []).append({**entry, "published": None, "results": cells})
+    return [
+        {"title": f"By {name}", "columns": BREAKDOWN_COLUMNS, "rows": found} for name, found in sorted(fields.items())
+    ]

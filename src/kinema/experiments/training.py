@@ -1,0 +1,132 @@
+"""Train one stage from its configuration: build, prepare, fit, save."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback
+from omegaconf import DictConfig
+from torch import nn
+
+from kinema import artifacts
+from kinema.build import build
+from kinema.data.datamodule import MotionDataModule
+from kinema.data.datasets import ClipDataset
+from kinema.data.store import PackedStore
+from kinema.experiments.config import plain
+from kinema.experiments.instantiate import attach_text, model_spec, read_model, text_encoder
+from kinema.experiments.loggers import loggers
+from kinema.experiments.runs import RunFolder, write_json
+from kinema.experiments.samples import sample_drawer
+from kinema.experiments.stages import Stage
+from kinema.motion.representation import Representation
+from kinema.training.callbacks import Samples
+from kinema.training.fit import Machine, devices_available, fit
+from kinema.training.latents import LatentCache
+from kinema.training.modules import EvaluatorModule, GeneratorModule, StageModule, TokenizerModule, step_seed
+from kinema.training.recipe import Recipe
+
+
+def train_stage(
+    cfg: DictConfig, stage: Stage, store_path: Path, folder: RunFolder, upstream: dict[str, RunFolder]
+) -> dict[str, Any]:
+    """Fit a stage and write its weights; returns what status.json keeps (seconds, step, validation loss)."""
+    store = PackedStore.open(store_path)
+    node = plain(stage.config(cfg))
+    recipe = make_recipe(node["train"], store_path, debug_steps=cfg.debug.steps)
+    torch.manual_seed(step_seed(cfg.seed, "init", stage.name))
+    spec = model_spec(cfg, stage)
+    model = build(spec)
+    for part in model.modules():
+        if isinstance(part, Representation):
+            part.fit(store.statistics)
+    module = make_module(cfg, stage, model, recipe, store, upstream)
+    data = MotionDataModule(
+        store_path,
+        kind=node["train"]["data"],
+        batch_size=recipe.batch_size,
+        window=recipe.window,
+        seed=cfg.seed,
+        steps=recipe.steps,
+        num_workers=cfg.data.workers,
+        legacy_windows=recipe.legacy_windows,
+    )
+    extra: list[Callback] = []
+    if stage.name == "generator" and cfg.callbacks.samples_every:
+        draw = sample_drawer(cfg, store, read_model(upstream["tokenizer"].path)[0], module.text.value)
+        extra = [Samples(folder.path / "samples", cfg.callbacks.samples_every, draw)]
+    machine = Machine(**plain(cfg.trainer))
+    with loggers(cfg, folder) as attached:
+        fitted = fit(module, data, folder.path, machine, callbacks=extra, loggers=attached)
+    model.load_state_dict(fitted.weights)
+    meta = {"stage": stage.name, "label": folder.path.name, "corpus": store.manifest["hash"], "step": fitted.step}
+    if stage.name in ("generator", "length"):
+        write_json(folder.path / "text.json", {"encoder": cfg.text.name, "path": cfg.text.path})
+        meta["text"] = module.text.value.identity
+    artifacts.save(model, spec, folder.weights, **meta)
+    (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
+    return {
+        "seconds": round(fitted.seconds, 1),
+        "step": fitted.step,
+        "val_loss": fitted.val_loss,
+        "parameters": sum(p.numel() for p in model.parameters() if p.requires_grad),
+        "device": devices_available() if cfg.trainer.accelerator == "auto" else cfg.trainer.accelerator,
+    }
+
+
+def make_recipe(train: dict[str, Any], store: Path, debug_steps: int | None = None) -> Recipe:
+    """Turn a recipe's config into numbers; `epochs` become steps of this corpus."""
+    values = {k: v for k, v in train.items() if k not in ("data", "epochs")}
+    if values.get("steps") is None:
+        if not train.get("epochs"):
+            raise ValueError("train.steps and train.epochs are both empty; set one of them")
+        window = {k: train[k] for k in ("window", "legacy_windows") if k in train}
+        probe = MotionDataModule(store, kind=train["data"], batch_size=1, steps=1, **window)
+        per_epoch = len(probe.dataset("train")) // train["batch_size"]
+        values["steps"] = max(1, per_epoch) * train["epochs"]
+    if debug_steps:
+        values |= {"steps": debug_steps, "validate_every": debug_steps, "checkpoint_every": debug_steps}
+    values["milestones"] = tuple(values.get("milestones") or ())
+    values["validate_every"] = min(values.get("validate_every", 1000), values["steps"])
+    try:
+        return Recipe(**values)
+    except TypeError as error:
+        raise ValueError(f"train config: {error}; the fields are those of kinema.training.recipe.Recipe") from None
+
+
+def make_module(
+    cfg: DictConfig, stage: Stage, model: nn.Module, recipe: Recipe, store: PackedStore, upstream: dict[str, RunFolder]
+) -> StageModule:
+    """Wire a model to what its loss reads."""
+    if stage.name in ("tokenizer", "decomposition"):
+        return TokenizerModule(model, recipe, cfg.seed)
+    if stage.owner == "evaluator":
+        attach_text(cfg, stage, model)
+        if "decomposition" in upstream:
+            model.load_movement(read_model(upstream["decomposition"].path)[0])
+        return EvaluatorModule(model, recipe, cfg.seed)
+    text = text_encoder(cfg)
+    latents: Any = crop_frames
+    if stage.name == "generator":
+        tokenizer, _ = read_model(upstream["tokenizer"].path)
+        clips = [ClipDataset(store, split) for split in ("train", "val")]
+        # Runs on one tokenizer and corpus share the cache: it belongs to the tokenizer's run.
+        cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, _device(cfg))
+        latents = cache
+        model.set_latent_range(*cache.range())
+    return GeneratorModule(model, recipe, cfg.seed, latents, text)
+
+
+def crop_frames(batch: Any) -> Any:
+    """Give latents that hold the number of frames alone (the length estimator reads nothing else)."""
+    from kinema.types import Latents
+
+    return Latents(lengths=batch.lengths // 4, frames=batch.lengths)
+
+
+def _device(cfg: DictConfig) -> str:
+    if cfg.trainer.accelerator in ("auto", "gpu"):
+        return devices_available()
+    return {"cuda": "cuda", "mps": "mps"}.get(cfg.trainer.accelerator, "cpu")

@@ -1,0 +1,1 @@
+"""Wire models to Lightning: batch -> loss -> log, and the callbacks around it."""

@@ -1,0 +1,160 @@
+"""Hold what happens around training steps: averaging, selection, checkpoints, the run's record and its samples."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch.callbacks import WeightAveraging
+from torch import Tensor
+
+
+class EMA(WeightAveraging):
+    """Average the parameters exponentially (buffers follow the model).
+
+    `decay` is the published constant; with `warmup` it grows as (1+n)/(10+n), without which a short run would keep
+    mostly its initialisation.
+    """
+
+    def __init__(self, decay: float, warmup: bool = True) -> None:
+        super().__init__(use_buffers=False, avg_fn=self._average)
+        self.decay = decay
+        self.warmup = warmup
+
+    def _average(self, average: Tensor, current: Tensor, count: Tensor | int) -> Tensor:
+        decay = min(self.decay, (1 + int(count)) / (10 + int(count))) if self.warmup else self.decay
+        return torch.lerp(average, current, 1 - decay)
+
+    def averaged(self) -> LightningModule:
+        """Give the averaged copy of the module."""
+        return self._average_model.module
+
+
+def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tensor]:
+    """Give the weights that are validated and kept: averaged ones where there is averaging."""
+    averaging = [c for c in trainer.callbacks if isinstance(c, EMA)]
+    source = averaging[0].averaged() if averaging else module
+    return {k: v.detach().cpu().clone() for k, v in source.model.state_dict().items()}
+
+
+class BestWeights(Callback):
+    """Keep the weights with the least validation loss; they are part of the checkpoint, so a resumed run has them."""
+
+    def __init__(self) -> None:
+        self.value = float("inf")
+        self.step = -1
+        self.weights: dict[str, Tensor] = {}
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Compare the validation loss with the best one."""
+        value = float(trainer.callback_metrics.get("val/loss", float("nan")))
+        if not trainer.sanity_checking and value < self.value:
+            self.value, self.step = value, trainer.global_step
+            self.weights = selected_state(trainer, pl_module)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Give the selection so far."""
+        return {"value": self.value, "step": self.step, "weights": self.weights}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore the selection."""
+        self.value, self.step, self.weights = state_dict["value"], state_dict["step"], state_dict["weights"]
+
+
+class Checkpoints(Callback):
+    """Save `last.ckpt` every few steps (it must stand after the callbacks whose state it holds)."""
+
+    def __init__(self, path: Path, every: int) -> None:
+        self.path = path
+        self.every = every
+
+    def on_train_batch_end(self, trainer: Trainer, *_: Any) -> None:
+        """Save if it is time."""
+        if trainer.global_step % self.every == 0 and trainer.global_step < trainer.max_steps:
+            trainer.save_checkpoint(self.path)
+
+
+class RunRecord(Callback):
+    """Append metrics to `metrics.jsonl` and count the seconds spent, over interruptions."""
+
+    def __init__(self, path: Path, every: int = 50) -> None:
+        self.path = path
+        self.every = every
+        self.spent = 0.0
+        self.started = time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """Give the seconds of training up to now, earlier parts of the run included."""
+        return self.spent + time.monotonic() - self.started
+
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Drop the lines of steps that will be run again."""
+        if not trainer.is_global_zero:
+            return
+        kept = []
+        if self.path.exists():
+            lines = self.path.read_text().splitlines()
+            kept = [x for x in lines if x.endswith("}") and json.loads(x)["step"] <= trainer.global_step]
+        temporary = self.path.with_suffix(".tmp")
+        temporary.write_text("".join(x + "\n" for x in kept))
+        os.replace(temporary, self.path)
+        self.started = time.monotonic()
+
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
+        """Record the training losses every few steps."""
+        if trainer.global_step % self.every == 0:
+            self._append(trainer, "train/")
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Record the validation losses."""
+        if not trainer.sanity_checking:
+            self._append(trainer, "val/")
+
+    def _append(self, trainer: Trainer, prefix: str) -> None:
+        if not trainer.is_global_zero:
+            return
+        values = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith(prefix)}
+        if values:
+            line = {"step": trainer.global_step, "seconds": round(self.seconds, 2), **values}
+            with open(self.path, "a") as file:
+                file.write(json.dumps(line) + "\n")
+
+    def state_dict(self) -> dict[str, Any]:
+        """Give the seconds spent so far."""
+        return {"seconds": self.seconds}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore the seconds spent before the interruption."""
+        self.spent = state_dict["seconds"]
+
+
+class Samples(Callback):
+    """Write what the model makes of a few validation prompts, as a page that plays, and log it where wandb runs."""
+
+    def __init__(self, folder: Path, every: int, draw: Callable[[torch.nn.Module, Path], Path | None]) -> None:
+        self.folder = folder
+        self.every = every
+        self.draw = draw
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Draw with the validated weights."""
+        if trainer.sanity_checking or not trainer.is_global_zero or trainer.global_step % self.every:
+            return
+        averaging = [c for c in trainer.callbacks if isinstance(c, EMA)]
+        model = (averaging[0].averaged() if averaging else pl_module).model
+        training = model.training
+        model.eval()
+        page = self.draw(model, self.folder / f"step-{trainer.global_step:07d}.html")
+        model.train(training)
+        for logger in trainer.loggers:
+            if page is not None and type(logger).__name__ == "WandbLogger":
+                import wandb
+
+                logger.experiment.log({"samples": wandb.Html(page.read_text())}, step=trainer.global_step)

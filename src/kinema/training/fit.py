@@ -1,0 +1,102 @@
+"""Fit one module with Lightning and return its selected weights."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch import Callback, LightningDataModule, Trainer
+from lightning.pytorch.callbacks import RichProgressBar, TQDMProgressBar
+from torch import Tensor
+
+from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord
+from kinema.training.checkpoint import AtomicCheckpointIO
+from kinema.training.modules import StageModule
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Say where and how to run: nothing of it changes what is computed (beyond rounding)."""
+
+    accelerator: str = "auto"
+    devices: int | str | list[int] = 1
+    num_nodes: int = 1
+    strategy: str = "auto"
+    precision: str = "32-true"
+    compile: bool = False
+    progress: str = "rich"
+    log_every: int = 50
+    extra: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Hold the selected weights, the step they are of and the seconds it took."""
+
+    weights: dict[str, Tensor]
+    step: int
+    seconds: float
+    val_loss: float | None
+
+
+def fit(
+    module: StageModule,
+    data: LightningDataModule,
+    folder: Path,
+    machine: Machine,
+    *,
+    callbacks: list[Callback] | None = None,
+    loggers: list[Any] | None = None,
+) -> Fitted:
+    """Train to the recipe's number of steps, resuming from `folder/checkpoints/last.ckpt` where that exists."""
+    recipe = module.recipe
+    best, record = BestWeights(), RunRecord(folder / "metrics.jsonl", machine.log_every)
+    last = folder / "checkpoints" / "last.ckpt"
+    averaging = [EMA(recipe.ema, recipe.ema_warmup)] if recipe.ema else []
+    bars = {"rich": [RichProgressBar()], "tqdm": [TQDMProgressBar()], "none": []}[machine.progress]
+    trainer = Trainer(
+        accelerator=machine.accelerator,
+        devices=machine.devices,
+        num_nodes=machine.num_nodes,
+        strategy=machine.strategy,
+        precision=machine.precision,
+        max_steps=recipe.steps,
+        max_epochs=-1,
+        val_check_interval=recipe.validate_every,
+        check_val_every_n_epoch=None,
+        limit_val_batches=recipe.val_batches or 1.0,
+        num_sanity_val_steps=0,
+        log_every_n_steps=machine.log_every,
+        logger=loggers or False,
+        callbacks=[*averaging, best, record, *(callbacks or []), *bars, Checkpoints(last, recipe.checkpoint_every)],
+        plugins=[AtomicCheckpointIO()],
+        enable_checkpointing=False,
+        enable_progress_bar=bool(bars),
+        enable_model_summary=False,
+        use_distributed_sampler=False,
+        default_root_dir=folder,
+        **machine.extra,
+    )
+    if machine.compile:
+        module.compile_loss()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
+        warnings.filterwarnings("ignore", message=".*mid-epoch.*|.*not stateful.*|.*resumable.*")
+        trainer.fit(module, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
+    if trainer.interrupted or trainer.global_step < recipe.steps:
+        raise InterruptedError(f"training stopped at step {trainer.global_step} of {recipe.steps}; run again to resume")
+    if recipe.select == "best" and best.weights:
+        return Fitted(best.weights, best.step, record.seconds, best.value)
+    weights = {k: v.detach().cpu().clone() for k, v in module.model.state_dict().items()}
+    loss = trainer.callback_metrics.get("val/loss")
+    return Fitted(weights, trainer.global_step, record.seconds, None if loss is None else float(loss))
+
+
+def devices_available() -> str:
+    """Name the accelerator that `auto` stands for here."""
+    if torch.cuda.is_available():
+        return "cuda"
+    return "mps" if torch.backends.mps.is_available() else "cpu"

@@ -1,0 +1,114 @@
+"""Cache what a frozen tokenizer makes of every crop a clip can have (at most twelve), so that none is encoded twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from kinema.data.datasets import ClipDataset
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Latents, MotionBatch
+
+BATCH = 64
+"""Crops that are encoded at once."""
+
+
+class LatentCache:
+    """Look the latents of a batch up by its crops; memory-mapped, shared by all workers and ranks.
+
+    MARDM §12.8: crops cannot be cut from one encoding of the clip, since the encoder sees the clip's ends.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        meta = json.loads((folder / "meta.json").read_text())
+        self.downsample, self.dim = meta["downsample"], meta["dim"]
+        self.values = np.load(folder / "values.npy", mmap_mode="r")
+        keys = np.load(folder / "keys.npy")
+        self.offsets = np.load(folder / "offsets.npy")
+        self.rows = {tuple(key): i for i, key in enumerate(keys.tolist())}
+
+    def __call__(self, batch: MotionBatch) -> Latents:
+        """Gather the latents of a batch of crops, zero beyond their lengths."""
+        keys = zip(batch.entries.tolist(), batch.starts.tolist(), batch.lengths.tolist(), strict=True)
+        rows = [self.rows[key] for key in keys]
+        lengths = batch.lengths // self.downsample
+        values = np.zeros((len(rows), int(lengths.max()), self.dim), np.float32)
+        for i, row in enumerate(rows):
+            piece = self.values[self.offsets[row] : self.offsets[row + 1]]
+            values[i, : len(piece)] = piece
+        return Latents(lengths=lengths, frames=batch.lengths, values=torch.from_numpy(values).to(lengths.device))
+
+    def range(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Give the least and greatest value of each latent dimension."""
+        low, high = np.full(self.dim, np.inf, np.float32), np.full(self.dim, -np.inf, np.float32)
+        for start in range(0, len(self.values), 65536):
+            block = self.values[start : start + 65536]
+            low, high = np.minimum(low, block.min(0)), np.maximum(high, block.max(0))
+        return torch.from_numpy(low), torch.from_numpy(high)
+
+    @classmethod
+    def ensure(cls, folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str) -> LatentCache:
+        """Encode all crops of the data sets once, in a fixed order; an interrupted attempt leaves nothing behind."""
+        if not (folder / "meta.json").exists():
+            temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
+            shutil.rmtree(temporary, ignore_errors=True)
+            temporary.mkdir(parents=True)
+            try:
+                cls._write(temporary, tokenizer, clips, device)
+                if not (folder / "meta.json").exists():
+                    shutil.rmtree(folder, ignore_errors=True)
+                    os.replace(temporary, folder)
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
+        return cls(folder)
+
+    @staticmethod
+    @torch.no_grad()
+    def _write(
+        folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str, batch: int = 64
+    ) -> None:
+        crops = [(int(e), s, n) for data in clips for e in data.entries for s, n in data.crops(int(e))]
+        store = clips[0].store
+        # Crops of one length go together: no padding, and a result that does not depend on the neighbours' lengths.
+        order = sorted(range(len(crops)), key=lambda i: (crops[i][2], i))
+        counts = np.array([n // tokenizer.downsample for _, _, n in crops])
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        tokenizer = tokenizer.to(device).eval()
+        values = None
+        start = 0
+        while start < len(order):
+            frames = crops[order[start]][2]
+            chunk = [i for i in order[start : start + BATCH] if crops[i][2] == frames]
+            features = np.stack([store.frames_of(crops[i][0])[crops[i][1] : crops[i][1] + frames] for i in chunk])
+            motion = MotionBatch(
+                torch.from_numpy(features).to(device), torch.full((len(chunk),), frames, device=device)
+            )
+            encoded = tokenizer.encode(motion).values.cpu().numpy()
+            if values is None:
+                shape = (int(offsets[-1]), encoded.shape[-1])
+                values = np.lib.format.open_memmap(folder / "values.npy", "w+", np.float32, shape)
+            for i, row in zip(chunk, encoded, strict=True):
+                values[offsets[i] : offsets[i + 1]] = row
+            start += len(chunk)
+        values.flush()
+        np.save(folder / "keys.npy", np.array(crops, np.int64))
+        np.save(folder / "offsets.npy", offsets.astype(np.int64))
+        meta = {"downsample": tokenizer.downsample, "dim": int(values.shape[1]), "crops": len(crops)}
+        (folder / "meta.json").write_text(json.dumps(meta))
+
+
+class EncodeEachTime:
+    """Encode every batch anew (what the latent cache saves; kept for its benchmark and for augmented motion)."""
+
+    def __init__(self, tokenizer: MotionTokenizer) -> None:
+        self.tokenizer = tokenizer.eval()
+
+    def __call__(self, batch: MotionBatch) -> Latents:
+        """Encode the batch without gradients."""
+        with torch.no_grad():
+            return self.tokenizer.encode(batch)

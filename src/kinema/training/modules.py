@@ -1,0 +1,136 @@
+"""Hold the LightningModules: they wire batch -> loss -> log and nothing else.
+
+Every draw of step s is a function of (seed, s): dropout through the global generators, seeded anew before each step
+(per rank), all else through one generator that draws for the global batch, of which each rank takes its share. So a
+resumed run, or one on more processes, sees the draws of an uninterrupted single one, and no RNG state has to be saved.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any, Protocol
+
+import torch
+from lightning.pytorch import LightningModule
+from torch import Tensor, nn
+
+from kinema.training.recipe import Recipe
+from kinema.types import Latents, Losses, MotionBatch, TextFeatures
+
+
+class Unregistered:
+    """Hold frozen helpers outside state_dict, EMA, DDP and checkpoints; copies share them."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __deepcopy__(self, memo: dict) -> Unregistered:
+        return self
+
+
+class LatentSource(Protocol):
+    """Give the latents of a batch of crops (encoded, or looked up)."""
+
+    def __call__(self, batch: MotionBatch) -> Latents: ...
+
+
+class TextSource(Protocol):
+    """Give the text features of strings."""
+
+    def __call__(self, texts: list[str]) -> TextFeatures: ...
+
+
+def step_seed(*parts: int | str) -> int:
+    """Mix integers and names into one 63-bit seed."""
+    digest = hashlib.sha256("/".join(map(str, parts)).encode()).digest()
+    return int.from_bytes(digest[:8], "little") >> 1
+
+
+class StageModule(LightningModule):
+    """Train one model by its recipe; subclasses say how a batch becomes losses."""
+
+    def __init__(self, model: nn.Module, recipe: Recipe, seed: int) -> None:
+        super().__init__()
+        self.model = model
+        self.recipe = recipe
+        self.seed = seed
+        self.call = Unregistered(None)
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
+        """Give the named losses of one batch."""
+        raise TypeError(f"{type(self).__name__} is abstract: use TokenizerModule, GeneratorModule or EvaluatorModule")
+
+    def model_loss(self, *args: Any, **kwargs: Any) -> Losses:
+        """Call the model's loss, compiled if asked for."""
+        return (self.call.value or self.model.loss)(*args, **kwargs)
+
+    def compile_loss(self) -> None:
+        """Compile the loss (the state_dict keeps its names)."""
+        self.call = Unregistered(torch.compile(self.model.loss))
+
+    def _draws(self, *parts: int | str) -> torch.Generator:
+        torch.manual_seed(step_seed(self.seed, self.global_rank, *parts))
+        return torch.Generator(device=self.device).manual_seed(step_seed(self.seed, *parts))
+
+    def training_step(self, batch: MotionBatch, batch_idx: int) -> Tensor:
+        """Log the losses of a training batch and return the first."""
+        generator = self._draws("train", self.global_step)
+        losses = self.losses(batch, generator, (self.global_rank, self.trainer.world_size))
+        self.log_dict({f"train/{k}": v.detach() for k, v in losses.items()}, batch_size=len(batch.lengths))
+        self.log("loss", losses["loss"].detach(), prog_bar=True, logger=False)
+        return losses["loss"]
+
+    def validation_step(self, batch: MotionBatch, batch_idx: int) -> None:
+        """Log the mean validation losses; the draws are the same at every validation."""
+        generator = self._draws("val", batch_idx)
+        losses = self.losses(batch, generator, (self.global_rank, self.trainer.world_size))
+        self.log_dict(
+            {f"val/{k}": v for k, v in losses.items()}, batch_size=len(batch.lengths), sync_dist=True, prog_bar=True
+        )
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        """Make the recipe's optimiser and its schedule by steps."""
+        optimizer = self.recipe.optimizer(self.model.parameters())
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, self.recipe.factor)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+    def configure_gradient_clipping(self, optimizer: torch.optim.Optimizer, *_: Any, **__: Any) -> None:
+        """Clip the norm of all gradients, or of each named submodule by itself (T2M_EVALUATOR §4)."""
+        if self.recipe.clip is None:
+            return
+        parts = [self.model.get_submodule(name) for name in self.recipe.clip_each] or [self.model]
+        for part in parts:
+            torch.nn.utils.clip_grad_norm_(part.parameters(), self.recipe.clip)
+
+
+class TokenizerModule(StageModule):
+    """Train a tokenizer, or any model whose loss reads motion alone."""
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
+        """Reconstruct the windows."""
+        return self.model_loss(batch)
+
+
+class EvaluatorModule(StageModule):
+    """Train an evaluator on captioned motion."""
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
+        """Contrast motion with its captions."""
+        return self.model_loss(batch, generator=generator, shard=shard)
+
+
+class GeneratorModule(StageModule):
+    """Train a generator of latents; the frozen tokenizer and text encoder are held unregistered."""
+
+    def __init__(self, model: nn.Module, recipe: Recipe, seed: int, latents: LatentSource, text: TextSource) -> None:
+        super().__init__(model, recipe, seed)
+        self.latents = Unregistered(latents)
+        self.text = Unregistered(text)
+
+    def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
+        """Predict the latents of each motion from its caption."""
+        with torch.no_grad():
+            latents = self.latents.value(batch).to(self.device)
+            text = self.text.value(batch.texts).to(self.device)
+        text.clip_ids = batch.clip_ids
+        return self.model_loss(latents, text, generator=generator, shard=shard)

@@ -1,0 +1,66 @@
+"""Describe how one stage is trained: optimiser, learning-rate schedule, averaging, budget."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Hold the numbers of one training stage; `steps` counts optimiser steps.
+
+    Learning rate at step k (from 0), as the published loops have it (MARDM §3-§4): warm-up lr*(k+2)/(warmup+1) that
+    stops at lr*warmup/(warmup+1), then `gamma` at each milestone, counted from step 0 (`milestones_from: start`) or
+    from the end of the warm-up (`warmup_end`); `decay: cosine` instead falls to a hundredth over the whole run.
+    """
+
+    steps: int
+    batch_size: int
+    lr: float = 2e-4
+    betas: tuple[float, float] = (0.9, 0.99)
+    weight_decay: float = 0.0
+    warmup: int = 0
+    milestones: tuple[int, ...] = ()
+    milestones_from: str = "start"
+    gamma: float = 0.1
+    decay: str = "milestones"
+    ema: float | None = None
+    ema_warmup: bool = True
+    clip: float | None = None
+    clip_each: tuple[str, ...] = ()
+    select: str = "last"
+    validate_every: int = 1000
+    checkpoint_every: int = 500
+    val_batches: int | None = None
+    window: int = 64
+    legacy_windows: bool = False
+
+    def __post_init__(self) -> None:
+        for name, allowed in (
+            ("milestones_from", ("start", "warmup_end")),
+            ("decay", ("milestones", "cosine")),
+            ("select", ("last", "best")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"train.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
+        for name in ("steps", "batch_size", "validate_every", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"train.{name}={getattr(self, name)}; it must be at least 1")
+
+    def factor(self, step: int) -> float:
+        """Give the factor on the learning rate at an optimiser step (from 0)."""
+        warm = min(step + 2, self.warmup) / (self.warmup + 1) if self.warmup else 1.0
+        if self.decay == "cosine":
+            progress = min(1.0, step / max(1, self.steps))
+            return warm * (0.01 + 0.99 * 0.5 * (1 + torch.cos(torch.tensor(torch.pi * progress)).item()))
+        offset = self.warmup - 1 if self.milestones_from == "warmup_end" and self.warmup else 0
+        return warm * self.gamma ** sum(step >= offset + m for m in self.milestones)
+
+    def optimizer(self, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
+        """Make AdamW over what is trainable (weight decay 0 makes it Adam)."""
+        trainable = [p for p in parameters if p.requires_grad]
+        return torch.optim.AdamW(trainable, lr=self.lr, betas=tuple(self.betas), weight_decay=self.weight_decay)
