@@ -1,9 +1,10 @@
 """Measure how physical motions are; torch, batched, frames past the lengths ignored.
 
-Foot skating: of the frames where a toe is low (y < 5 cm at t and t+1), the share in which it slides (horizontal speed
-above 0.5 m/s). Jitter: the norm of the third difference of positions times fps^3, averaged over joints and frames, m/s^3.
-Heading: h_t = 2 sum_{s<t} a_s, a the half-angle column; turn angle = h_L. Root speed: the norm of the horizontal root
-velocity, averaged over frames. Root velocity deviation: the square root of its variance over frames, averaged over x, z.
+Foot skating: of the frames where a toe is low (y < 5 cm at t and t+1), the share in which it slides (horizontal
+speed above 0.5 m/s). Jitter: the norm of the third difference of positions times fps^3, averaged over joints and
+frames, m/s^3. Heading: h_t = 2 sum_{s<t} a_s, a the half-angle column; turn angle = h_L. Root speed: the norm of the
+horizontal root velocity, averaged over frames. Root velocity deviation: the square root of its variance over frames,
+averaged over x and z.
 
 Evaluators hardly see heading, turn angle and root speed, so they are measured on their own.
 """

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-import os
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from kinema.motion.atomic import replacing
 from kinema.motion.skeleton import Skeleton
 
 PUBLISHED_DIVISOR = 25.0
@@ -79,21 +80,35 @@ class Statistics:
 
     def save(self, path: str | Path) -> None:
         """Write both vectors to one .npz, whole or not at all."""
-        path = Path(path)
-        partial = path.with_name(path.name + f".{os.getpid()}.tmp")
-        with partial.open("wb") as file:
+        with replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, mean=self.mean, std=self.std)
-        os.replace(partial, path)
 
     @classmethod
     def load(cls, path: str | Path) -> Statistics:
         """Read an .npz written by `save`, or a folder with the published `Mean.npy` and `Std.npy`."""
         path = Path(path)
         if path.is_dir():
-            mean, std = (np.load(path / name, allow_pickle=False) for name in ("Mean.npy", "Std.npy"))
-            return cls(mean.astype(np.float64), std.astype(np.float64))
-        with np.load(path, allow_pickle=False) as arrays:
-            return cls(arrays["mean"], arrays["std"])
+            mean, std = (_read(path / name) for name in ("Mean.npy", "Std.npy"))
+        else:
+            arrays = _read(path)
+            if not isinstance(arrays, dict) or not {"mean", "std"} <= arrays.keys():
+                raise ValueError(f"{path} holds no 'mean' and 'std'; give a file of Statistics.save")
+            mean, std = arrays["mean"], arrays["std"]
+        return cls(mean.astype(np.float64), std.astype(np.float64))
+
+
+def _read(path: Path) -> np.ndarray | dict[str, np.ndarray]:
+    """Read an .npy or .npz; neither executes code."""
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is absent; give an .npz of Statistics.save or a folder with Mean.npy, Std.npy")
+    try:
+        loaded = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path} is no .npy or .npz of plain numbers ({error}); write it again") from None
+    if isinstance(loaded, np.ndarray):
+        return loaded
+    with loaded:
+        return dict(loaded)
 
 
 def _grouped(std: np.ndarray, skeleton: Skeleton) -> np.ndarray:
