@@ -1,0 +1,1 @@
+"""Hold the decoding loops over a `predict` callable."""

@@ -1,0 +1,36 @@
+"""Choose positions at random: mask schedules, ranks and masks, every random draw handed in."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+def cosine_ratio(time: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """Give the share of positions masked at time 0..1: cos(pi t / 2)."""
+    return torch.cos(time * math.pi * 0.5)
+
+
+def masked_count(lengths: Int[Tensor, "*b"], ratio: Float[Tensor, "*b"]) -> Int[Tensor, "*b"]:
+    """Count the positions to mask: max(1, round half to even (length * ratio))."""
+    return (lengths * ratio).round().clamp(min=1).long()
+
+
+def cosine_counts(lengths: Int[Tensor, " b"], steps: int) -> Int[Tensor, "s b"]:
+    """Count the masked positions before each of `steps` unmasking steps (MARDM §6, in float32 as published)."""
+    return masked_count(lengths, cosine_ratio(torch.linspace(0, 1, steps, device=lengths.device))[:, None])
+
+
+def ranks(scores: Float[Tensor, "b n"]) -> Int[Tensor, "b n"]:
+    """Rank each row's scores, 0 for the lowest."""
+    return scores.argsort(dim=-1, stable=True).argsort(dim=-1)
+
+
+def lowest(
+    scores: Float[Tensor, "b n"], eligible: Bool[Tensor, "b n"], count: Int[Tensor, " b"]
+) -> Bool[Tensor, "b n"]:
+    """Mark the `count` eligible positions of lowest score in each row, all of them where they are fewer."""
+    return (ranks(scores.masked_fill(~eligible, torch.inf)) < count[:, None]) & eligible

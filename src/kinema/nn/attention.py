@@ -1,0 +1,46 @@
+"""Attend over sequences: one multi-head module for self- and cross-attention."""
+
+from __future__ import annotations
+
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+class Attention(nn.Module):
+    """Multi-head attention with separate biased query, key, value and output projections.
+
+    Dropout acts on the attention probabilities and on the projected output.
+    """
+
+    def __init__(self, width: int, heads: int, dropout: float = 0.0) -> None:
+        super().__init__()
+        if width % heads:
+            raise ValueError(f"width {width} is not a multiple of heads {heads}; choose heads that divide the width")
+        self.heads = heads
+        self.dropout = dropout
+        self.query = nn.Linear(width, width)
+        self.key = nn.Linear(width, width)
+        self.value = nn.Linear(width, width)
+        self.proj = nn.Linear(width, width)
+
+    def forward(
+        self,
+        x: Float[Tensor, "b q w"],
+        mask: Bool[Tensor, ...] | None = None,
+        context: Float[Tensor, "b k w"] | None = None,
+    ) -> Float[Tensor, "b q w"]:
+        """Attend from `x` to `context` (itself by default); `mask`, True = may be seen, broadcasts to (b, heads, q, k).
+
+        A mask over keys alone has the shape (b, k); one over pairs (b, q, k) or (b, heads, q, k).
+        """
+        context = x if context is None else context
+        if mask is not None and mask.ndim < 4:
+            mask = mask[:, None, None, :] if mask.ndim == 2 else mask[:, None]
+        query, key, value = (
+            layer(source).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for layer, source in ((self.query, x), (self.key, context), (self.value, context))
+        )
+        dropout = self.dropout if self.training else 0.0
+        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask, dropout_p=dropout)
+        return F.dropout(self.proj(attended.transpose(1, 2).flatten(2)), dropout)
