@@ -1,0 +1,76 @@
+"""Keep embeddings of real motion and captions on disk: they are the same for every source of a replication."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from kinema.motion.atomic import replacing
+from kinema.types import Caption, MotionBatch
+
+
+class EmbeddingCache:
+    """Hold one .npz per (evaluator, corpus, seed, replication) in a folder.
+
+    Inside, embeddings are found by what was embedded (its SHA-256), so a changed crop, caption or order is computed
+    anew, never served. `corpus` (its manifest hash) only keeps corpora apart.
+    """
+
+    def __init__(self, directory: str | Path, corpus: str = "") -> None:
+        self.directory = Path(directory)
+        self.corpus = corpus
+
+    def shelf(self, evaluator: str, seed: int, replication: int) -> Shelf:
+        """Open what is known for an evaluator (by its identity) and a replication."""
+        name = "-".join(part for part in (self.corpus, f"s{seed}", f"r{replication:03d}") if part)
+        return Shelf(self.directory / evaluator / f"{name}.npz")
+
+
+class Shelf:
+    """Hold the embeddings of one replication; `path=None` keeps nothing beyond the process."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.computed = 0
+        self._known: dict[str, np.ndarray] = {}
+        if path is not None and path.is_file():
+            try:
+                with np.load(path, allow_pickle=False) as arrays:
+                    self._known = {name: arrays[name] for name in arrays.files}
+            except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
+                raise ValueError(f"{path} is damaged ({error}); delete it, it will be computed anew") from None
+
+    def get(self, key: str, compute: Callable[[], Tensor], device: torch.device) -> Tensor:
+        """Give the embeddings under a key; compute them once."""
+        if key not in self._known:
+            self._known[key] = compute().detach().float().cpu().numpy()
+            self.computed += 1
+        return torch.from_numpy(self._known[key]).to(device)
+
+    def save(self) -> None:
+        """Write everything known, whole or not at all, if something was added."""
+        if self.path is None or not self.computed:
+            return
+        with replacing(self.path) as temporary, temporary.open("wb") as file:
+            np.savez(file, **self._known)
+        self.computed = 0
+
+
+def motion_key(batch: MotionBatch) -> str:
+    """Name a batch of motions by its content."""
+    digest = hashlib.sha256(repr(tuple(batch.features.shape)).encode())
+    for tensor in (batch.features, batch.lengths):
+        digest.update(tensor.detach().cpu().contiguous().numpy())
+    return f"motion-{digest.hexdigest()[:24]}"
+
+
+def text_key(captions: list[Caption]) -> str:
+    """Name a batch of captions by its content, tokens included."""
+    content = repr([(c.text, tuple(c.tokens)) for c in captions])
+    return f"text-{hashlib.sha256(content.encode()).hexdigest()[:24]}"

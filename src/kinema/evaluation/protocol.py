@@ -1,0 +1,222 @@
+"""Score one source of motion in one replication of the published protocol (METRICS, MARDM §8)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from kinema.evaluation.cache import EmbeddingCache, Shelf, motion_key, text_key
+from kinema.evaluation.encoders.base import TextMotionEvaluator
+from kinema.evaluation.metrics.finite import require_finite
+from kinema.evaluation.metrics.retrieval import LEFTOVERS
+from kinema.evaluation.scores import Observation, Scores
+from kinema.evaluation.sources import Source
+from kinema.types import MotionBatch
+
+Fields = Callable[[MotionBatch], dict[str, list[str]]]
+
+
+@dataclass(frozen=True)
+class EvaluationProtocol:
+    """Hold the numbers of the protocol; `mm_*` are MultiModality's.
+
+    `leftover`: rows beyond whole pools are left out of everything ("drop", T2M and MARDM), form a smaller pool
+    ("keep"), or count for all but R-precision and matching ("mld"). `max_batches` bounds a replication (small runs).
+    """
+
+    replications: int = 20
+    pool: int = 32
+    mm_texts: int = 96
+    mm_repeats: int = 30
+    mm_pairs: int = 10
+    diversity_pairs: int = 300
+    leftover: str = "drop"
+    split: str = "test"
+    seed: int = 0
+    max_batches: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.leftover not in LEFTOVERS:
+            raise ValueError(f"protocol.leftover={self.leftover!r}; allowed: {', '.join(LEFTOVERS)}")
+        least = {"replications": 1, "pool": 2, "mm_texts": 0, "mm_pairs": 1, "diversity_pairs": 1, "max_batches": 1}
+        for name, bound in least.items():
+            value = getattr(self, name)
+            if value is not None and value < bound:
+                raise ValueError(f"protocol.{name}={value}; it must be at least {bound}")
+        if self.mm_texts and self.mm_repeats <= self.mm_pairs:
+            raise ValueError(
+                f"protocol.mm_repeats={self.mm_repeats} must be greater than mm_pairs={self.mm_pairs} (or set mm_texts=0)"
+            )
+
+
+@dataclass(frozen=True)
+class ReplicationResult:
+    """Hold one replication's metrics, the same by field and value (`n` counts rows), and a few motions to watch.
+
+    `samples` are the source's first motions, `references` the real ones with the same captions.
+    """
+
+    metrics: dict[str, float]
+    breakdowns: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    samples: MotionBatch | None = None
+    references: MotionBatch | None = None
+
+
+def sample_seeds(seed: int, replication: int, first: int, count: int, repeat: int = 0) -> Int[Tensor, " b"]:
+    """Give the seeds of rows first..first+count-1 of a replication: the same for every source."""
+    rows = range(first, first + count)
+    words = [np.random.SeedSequence([seed, replication, repeat, row]).generate_state(2) for row in rows]
+    return torch.tensor([(int(high) << 31) ^ int(low) for high, low in words], dtype=torch.int64)
+
+
+@torch.no_grad()
+def evaluate_replication(
+    source: Source,
+    batches: Iterable[MotionBatch],
+    evaluator: TextMotionEvaluator,
+    clip_evaluator: TextMotionEvaluator | None = None,
+    protocol: EvaluationProtocol | None = None,
+    replication: int = 0,
+    *,
+    fields: Fields | None = None,
+    cache: EmbeddingCache | None = None,
+    watch: int = 8,
+) -> ReplicationResult:
+    """Score a source on the test batches of one replication.
+
+    The first `mm_texts` captions are answered `mm_repeats` times; the first answer also serves the other metrics
+    (the published code takes the last), so that they are the same with and without MultiModality. `fields` names
+    each row's values by which results are broken down. Raises ValueError that names the clip for NaN or infinity.
+    """
+    protocol = protocol or EvaluationProtocol()
+    judge = _Judge(evaluator, clip_evaluator, cache, protocol.seed, replication)
+    total = Scores(protocol, replication, evaluator.representation.skeleton, judge.device)
+    parts: dict[str, dict[str, Scores]] = {}
+    samples = references = None
+    first = 0
+    for real in islice(batches, protocol.max_batches):
+        real = _whole_pools(real.to(judge.device), protocol)
+        if not len(real.lengths):
+            continue
+        generated = _answer(source, real, protocol, replication, first)
+        seen = judge.observe(real, generated, first, source.reconstructs)
+        total.update(seen)
+        _update_parts(parts, fields, seen, total)
+        if source.multimodal and first < protocol.mm_texts:
+            total.update_multimodality(_repeats(source, seen, judge, protocol, replication, first))
+        if samples is None:
+            rows = torch.arange(min(watch, len(real.lengths)), device=judge.device)
+            samples, references = select(generated, rows), select(real, rows)
+        first += len(real.lengths)
+    if first == 0:
+        raise ValueError(
+            f"no batch holds a whole pool of {protocol.pool}; use a larger split, a smaller pool or leftover='keep'"
+        )
+    judge.save()
+    breakdowns = {name: {v: s.compute() for v, s in sorted(values.items())} for name, values in parts.items()}
+    return ReplicationResult(total.compute(), breakdowns, samples, references)
+
+
+def select(batch: MotionBatch, rows: Int[Tensor, " n"]) -> MotionBatch:
+    """Take some rows of a batch."""
+    chosen = rows.tolist()
+    return replace(
+        batch,
+        features=batch.features[rows],
+        lengths=batch.lengths[rows],
+        entries=None if batch.entries is None else batch.entries[rows],
+        starts=None if batch.starts is None else batch.starts[rows],
+        captions=[batch.captions[i] for i in chosen],
+        clip_ids=[batch.clip_ids[i] for i in chosen] if batch.clip_ids else [],
+    )
+
+
+class _Judge:
+    """Hold the evaluators, and embed what is real only once."""
+
+    def __init__(
+        self,
+        evaluator: TextMotionEvaluator,
+        clip_evaluator: TextMotionEvaluator | None,
+        cache: EmbeddingCache | None,
+        seed: int,
+        replication: int,
+    ) -> None:
+        self.evaluators = [e.eval() for e in (evaluator, clip_evaluator) if e is not None]
+        self.device = evaluator.representation.mean.device
+        self.shelves = [
+            Shelf(None) if cache is None else cache.shelf(e.identity(), seed, replication) for e in self.evaluators
+        ]
+
+    def motion(self, batch: MotionBatch, which: int = 0) -> Tensor:
+        """Embed motions by one of the evaluators."""
+        return self.evaluators[which].embed_motion(batch)
+
+    def observe(self, real: MotionBatch, generated: MotionBatch, first: int, paired: bool) -> Observation:
+        """Embed everything that the metrics need of a batch."""
+        index = torch.arange(first, first + len(real.lengths), device=self.device)
+        clip_pair = None
+        if len(self.evaluators) > 1:
+            clip_pair = (self.motion(generated, 1), self._text(real, 1))
+        known = self._known_motion(real)
+        motion = known if generated is real else self.motion(generated)
+        return Observation(index, self._text(real, 0), known, motion, clip_pair, real, generated, paired)
+
+    def save(self) -> None:
+        """Keep what was computed for the next source."""
+        for shelf in self.shelves:
+            shelf.save()
+
+    def _known_motion(self, batch: MotionBatch) -> Tensor:
+        return self.shelves[0].get(motion_key(batch), lambda: self.motion(batch), self.device)
+
+    def _text(self, batch: MotionBatch, which: int) -> Tensor:
+        embed = self.evaluators[which].embed_text
+        return self.shelves[which].get(text_key(batch.captions), lambda: embed(batch.captions), self.device)
+
+
+def _whole_pools(batch: MotionBatch, protocol: EvaluationProtocol) -> MotionBatch:
+    """Leave out the rows beyond whole pools if the protocol drops them."""
+    size = len(batch.lengths)
+    rest = size % protocol.pool
+    if protocol.leftover != "drop" or rest == 0:
+        return batch
+    return select(batch, torch.arange(size - rest, device=batch.lengths.device))
+
+
+def _answer(
+    source: Source, batch: MotionBatch, protocol: EvaluationProtocol, replication: int, first: int, repeat: int = 0
+) -> MotionBatch:
+    """Ask the source, and refuse NaN and infinity by the clip's name."""
+    seeds = sample_seeds(protocol.seed, replication, first, len(batch.lengths), repeat)
+    generated = source(batch, seeds)
+    names = batch.clip_ids or [c.text for c in batch.captions]
+    require_finite(batch.features, "real features", names)
+    require_finite(generated.features, f"features by {source.label!r}", names)
+    return generated
+
+
+def _update_parts(parts: dict[str, dict[str, Scores]], fields: Fields | None, seen: Observation, total: Scores) -> None:
+    """Add a batch's rows to the scores of the values they have."""
+    for name, values in (fields(seen.real) if fields else {}).items():
+        for value in sorted(set(values)):
+            keep = torch.tensor([v == value for v in values], device=seen.index.device)
+            parts.setdefault(name, {}).setdefault(value, total.empty()).update(seen, keep)
+
+
+def _repeats(
+    source: Source, seen: Observation, judge: _Judge, protocol: EvaluationProtocol, replication: int, first: int
+) -> Tensor:
+    """Embed all answers to the batch's share of the first `mm_texts` captions, (texts, repeats, e)."""
+    count = min(protocol.mm_texts - first, len(seen.index))
+    head = select(seen.real, torch.arange(count, device=seen.index.device))
+    embeddings = [seen.motion[:count]]
+    for repeat in range(1, protocol.mm_repeats):
+        embeddings.append(judge.motion(_answer(source, head, protocol, replication, first, repeat)))
+    return torch.stack(embeddings, dim=1)

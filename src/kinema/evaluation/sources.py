@@ -1,0 +1,188 @@
+"""Give the motions that are scored: a model's, real ones, and the controls a model has to be read against."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from kinema.types import Caption, Latents, MotionBatch, TextFeatures
+
+TextEncoder = Callable[[list[str]], TextFeatures]
+
+
+class Source(Protocol):
+    """Answer the captions of a batch with motions, in the same order.
+
+    `seeds` hold one seed per row, and a row's answer depends on its own seed only. `multimodal`: other seeds give
+    other motions. `reconstructs`: row i is meant to equal row i of the batch, frame by frame.
+    """
+
+    label: str
+    multimodal: bool
+    reconstructs: bool
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch: ...
+
+
+class RealMotion:
+    """Answer with the captured motion itself: the row that every table has."""
+
+    label, multimodal, reconstructs = "real", False, False
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Return the batch."""
+        return batch
+
+
+class ShuffledCaptions:
+    """Answer with real motion of another caption of the batch: perfect FID, no knowledge of the text.
+
+    Unlike the others it mixes rows: the pairing is drawn from the first row's seed.
+    """
+
+    label, multimodal, reconstructs = "shuffled captions", False, False
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Deal the motions along one random cycle, so that none meets its own caption."""
+        size = len(batch.lengths)
+        if size < 2:
+            raise ValueError("captions of a batch of 1 cannot be shuffled; raise the batch size or drop the leftover")
+        order = np.random.default_rng(int(seeds[0])).permutation(size)
+        other = np.empty(size, dtype=np.int64)
+        other[order] = np.roll(order, 1)
+        rows = torch.from_numpy(other).to(batch.lengths.device)
+        return answer(batch, batch.features[rows], batch.lengths[rows])
+
+
+class Reconstruction:
+    """Answer with what a tokenizer makes of the real motion: the ceiling of every method that uses it."""
+
+    label, multimodal, reconstructs = "reconstruction", False, True
+
+    def __init__(self, tokenizer: nn.Module) -> None:
+        self.tokenizer = tokenizer.eval()
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Encode and decode the batch."""
+        decoded = self.tokenizer.decode(self.tokenizer.encode(batch))
+        return answer(batch, decoded.features, decoded.lengths)
+
+
+class NoiseLatents:
+    """Answer with decoded noise of the latents' mean and deviation: plausible marginals, nothing else.
+
+    `mean` and `std` have the latent's width.
+    """
+
+    label, multimodal, reconstructs = "noise latents", True, False
+
+    def __init__(self, tokenizer: nn.Module, mean: Float[Tensor, " c"], std: Float[Tensor, " c"]) -> None:
+        self.tokenizer, self.mean, self.std = tokenizer.eval(), mean, std
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Decode one noise sequence per row, of the real length."""
+        lengths = batch.lengths // self.tokenizer.downsample
+        size, device = int(lengths.max()), batch.features.device
+        rows = [torch.randn(size, len(self.mean), generator=_generator(int(seed))) for seed in seeds]
+        values = torch.stack(rows).to(device) * self.std.to(device) + self.mean.to(device)
+        values = values * (torch.arange(size, device=device) < lengths[:, None])[..., None]
+        decoded = self.tokenizer.decode(
+            Latents(lengths=lengths, frames=lengths * self.tokenizer.downsample, values=values)
+        )
+        return answer(batch, decoded.features, decoded.lengths)
+
+
+class TrainingClips(Protocol):
+    """Give training clips and their captions by entry (a `PackedStore` does)."""
+
+    def entry_captions(self, entry: int) -> list[Caption]: ...
+
+    def frames_of(self, entry: int) -> np.ndarray: ...
+
+
+class NearestTrainingCaption:
+    """Answer with the training clip whose caption is nearest to the prompt: what memory alone achieves.
+
+    Nearest is by the cosine of pooled text features. The answer starts at the clip's first frame and is as long as
+    the prompt's motion, or as the clip (in multiples of four) if that is shorter.
+    """
+
+    label, multimodal, reconstructs = "nearest training caption", False, False
+
+    def __init__(self, store: TrainingClips, entries: Sequence[int], text_encoder: TextEncoder) -> None:
+        self.store, self.text_encoder = store, text_encoder
+        known = [(caption.text, int(entry)) for entry in entries for caption in store.entry_captions(int(entry))]
+        if not known:
+            raise ValueError("none of the training entries has a caption; choose a split with captions")
+        self.entries = [entry for _, entry in known]
+        self.keys = self._embed([text for text, _ in known])
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Look the prompts up."""
+        nearest = (self._embed(batch.texts) @ self.keys.T).argmax(1).tolist()
+        clips = [np.asarray(self.store.frames_of(self.entries[k])) for k in nearest]
+        counts = [min(n, len(clip) // 4 * 4) for n, clip in zip(batch.lengths.tolist(), clips, strict=True)]
+        features = np.zeros((len(clips), max(counts), clips[0].shape[1]), dtype=np.float32)
+        for row, clip, count in zip(features, clips, counts, strict=True):
+            row[:count] = clip[:count]
+        device = batch.features.device
+        return answer(batch, torch.from_numpy(features).to(device), torch.tensor(counts, device=device))
+
+    def _embed(self, texts: list[str], size: int = 256) -> Float[Tensor, "n c"]:
+        parts = [self.text_encoder(texts[i : i + size]).pooled.float().cpu() for i in range(0, len(texts), size)]
+        return F.normalize(torch.cat(parts), dim=-1)
+
+
+class Generated:
+    """Answer with a method's motions: text -> latents -> motion.
+
+    `lengths`: "real" gives the generator the test clip's length, as the published protocol does; "predicted" takes it
+    from `length_estimator`, or leaves it to a generator that ends its sequences itself.
+    """
+
+    multimodal, reconstructs = True, False
+
+    def __init__(
+        self,
+        generator: nn.Module,
+        tokenizer: nn.Module,
+        text_encoder: TextEncoder,
+        *,
+        lengths: str = "real",
+        length_estimator: nn.Module | None = None,
+        sampling: Any = None,
+        label: str = "generated",
+    ) -> None:
+        if lengths not in ("real", "predicted"):
+            raise ValueError(f"lengths={lengths!r}; allowed: real, predicted")
+        self.generator, self.tokenizer, self.text_encoder = generator.eval(), tokenizer.eval(), text_encoder
+        self.length_estimator = length_estimator.eval() if length_estimator is not None else None
+        self.lengths, self.sampling, self.label = lengths, sampling, label
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Generate one motion per caption."""
+        text = self.text_encoder(batch.texts).to(batch.features.device)
+        text.clip_ids = list(batch.clip_ids)
+        frames = batch.lengths if self.lengths == "real" else self._predicted(text, seeds)
+        latents = self.generator.sample(text, frames, seeds=seeds, sampling=self.sampling)
+        decoded = self.tokenizer.decode(latents)
+        return answer(batch, decoded.features, decoded.lengths)
+
+    def _predicted(self, text: TextFeatures, seeds: Int[Tensor, " b"]) -> Int[Tensor, " b"] | None:
+        return self.length_estimator.predict(text, seeds) if self.length_estimator is not None else None
+
+
+def answer(prompt: MotionBatch, features: Float[Tensor, "b t w"], lengths: Int[Tensor, " b"]) -> MotionBatch:
+    """Put motions in the place of a batch's; captions and names stay."""
+    return replace(prompt, features=features, lengths=lengths)
+
+
+def _generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
