@@ -30,6 +30,6 @@ def test_each_problem_is_found_at_its_first_frame(skeleton, wander):
 
 
 def test_a_wrong_shape_is_a_problem_not_a_crash():
-    (problem,) = check_clip(np.zeros((10, 24, 3)), HUMANML3D, 20)
+    (problem,) = check_clip(np.zeros((10, 24, 3)), HUMANML3D, 20.0)
     assert problem.kind == "shape"
     assert "(10, 24, 3)" in problem.message

@@ -27,7 +27,7 @@ class Problem:
     message: str
 
 
-def check_clip(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton, fps: float) -> list[Problem]:
+def check_clip(joints: np.ndarray, skeleton: Skeleton, fps: float) -> list[Problem]:
     """List the problems of a clip, one per kind at its first frame; an empty list is a clean clip.
 
     "shape": not (at least 2, J, 3). "nan": NaN or infinite. "bone": a bone shorter than `MIN_BONE`. "jump": a joint

@@ -7,8 +7,6 @@ vector and pretends that frame 0 faces +Z; arm chains turn relative to the headi
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import gaussian_filter1d
@@ -22,13 +20,13 @@ HEADING_SIGMA = 20.0
 
 
 def extract(
-    joints: Float[np.ndarray, "t j 3"],
+    joints: np.ndarray,
     skeleton: Skeleton,
     *,
-    target_bone_lengths: np.ndarray | Literal["skeleton"] | None = None,
+    target_bone_lengths: np.ndarray | str | None = None,
     canonical: bool = True,
-) -> Float[np.ndarray, "t-1 d"]:
-    """Make the feature rows of a clip; T frames give T-1 rows.
+) -> Float[np.ndarray, "t d"]:
+    """Make the feature rows of a clip of joints (T, J, 3) in the skeleton's unit; T frames give T-1 rows.
 
     `target_bone_lengths` replaces the bone lengths ("skeleton": by the skeleton's own); None keeps them. `canonical`
     puts the clip on the floor, at the origin and facing +Z first; without it the clip must be so already. Raises
@@ -76,9 +74,9 @@ def to_origin(joints: Float[np.ndarray, "t j 3"]) -> Float[np.ndarray, "t j 3"]:
 
 def to_facing(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, "t j 3"]:
     """Turn a clip about +Y so that its first frame faces +Z; one whose hips and shoulders lie upright stays."""
-    right_hip, left_hip, right_shoulder, left_shoulder = joints[0, list(skeleton.face_joints)]
-    across = (right_hip - left_hip) + (right_shoulder - left_shoulder)
-    return rotate_yaw(joints, _yaw_to_front(_forward(unit(across))))
+    right_hip, left_hip, right_shoulder, left_shoulder = (joints[:1, joint] for joint in skeleton.face_joints)
+    across = unit((right_hip - left_hip) + (right_shoulder - left_shoulder))
+    return rotate_yaw(joints, _yaw_to_front(_forward(across)).item())
 
 
 def heading(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, " t"]:
@@ -117,12 +115,12 @@ def local_rotations(
     return local
 
 
-def _forward(across: Float[np.ndarray, "*t 3"]) -> Float[np.ndarray, "*t 3"]:
+def _forward(across: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, "t 3"]:
     """Cross +Y with the direction from left to right; a lying figure's is short."""
     return np.stack([across[..., 2], np.zeros_like(across[..., 0]), -across[..., 0]], axis=-1)
 
 
-def _yaw_to_front(forward: Float[np.ndarray, "*t 3"]) -> Float[np.ndarray, "*t"]:
+def _yaw_to_front(forward: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, " t"]:
     """Give the yaw that takes each direction to +Z; 0 for a zero direction."""
     return -np.arctan2(forward[..., 0], forward[..., 2])
 

@@ -31,7 +31,7 @@ def rotate_yaw(
     return np.stack([cos * x + sin * z, y, cos * z - sin * x], axis=-1)
 
 
-def shortest_arc(source: Float[np.ndarray, "*n 3"], target: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
+def shortest_arc(source: Float[np.ndarray, "*#n 3"], target: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3 3"]:
     """Make the rotation matrices of least angle that take unit vectors `source` to unit vectors `target`.
 
     R = cos I + [v]x + v v^T / (1 + cos), v = source x target. Opposite vectors have no shortest arc: they are turned
