@@ -15,7 +15,7 @@ FATAL = ("nan", "bone")
 
 
 def convert(job: tuple[Clip, str, bool]) -> Dropped | list[np.ndarray]:
-    """Load one clip (clip, skeleton's name, mirror too?); give its features, then its mirror image's, or why there are none.
+    """Load a clip (clip, skeleton name, mirror too?); give its features and its mirror image's, or why it has none.
 
     Raises ValueError for an array of the wrong shape: then the whole corpus is not what it was taken for.
     """

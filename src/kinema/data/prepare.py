@@ -63,7 +63,7 @@ def prepare_store(
     mirror = reader != "official" if mirror is None else mirror
     options = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
     asked = [FORMAT, VERSION, reader, options, max_missing, reader_options, _listing(source)]
-    request = hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:12]
+    request = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:12]
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
     if _request_of(out) == request:
         return out

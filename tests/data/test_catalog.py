@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from kinema.data.catalog import Clip, read_joints_folder, read_official
+
+
+def test_clips_come_in_split_order_with_captions_and_fields(joints_corpus):
+    root = joints_corpus({"b": ("test", 50), "a": ("train", 60), "c": ("train", 70)})
+    (root / "manifest.json").write_text(json.dumps([{"name": "a", "source": "cmu", "frames": 60, "split": "train"}]))
+    catalog = read_joints_folder(root)
+    assert [(c.name, c.split) for c in catalog] == [("a", "train"), ("c", "train"), ("b", "test")]
+    assert [c.caption.text for c in catalog.clips[0].captions] == ["a person walks left", "they jump"]
+    assert [c.fields for c in catalog] == [{"source": "cmu"}, {}, {}]
+    assert catalog.clips[0].joints().shape == (60, 22, 3)
+
+
+def test_files_that_lack_are_dropped_with_the_reason(joints_corpus):
+    root = joints_corpus(dict.fromkeys("abc", ("train", 50)))
+    (root / "joints" / "a.npy").unlink()
+    (root / "texts" / "b.txt").unlink()
+    catalog = read_joints_folder(root)
+    assert [c.name for c in catalog] == ["c"]
+    reasons = {d.name: (d.what, d.reason) for d in catalog.dropped}
+    assert reasons == {"a": ("missing", "joints/a.npy not found"), "b": ("missing", "texts/b.txt not found")}
+
+
+def test_unreadable_caption_lines_are_named(joints_corpus):
+    catalog = read_joints_folder(joints_corpus({"a": ("train", 50, "fine\nbad##x#y\n")}))
+    assert len(catalog.clips[0].captions) == 1
+    (dropped,) = catalog.dropped
+    assert dropped.what == "caption"
+    assert "line 2" in dropped.reason
+
+
+def test_a_corpus_may_have_no_texts(joints_corpus):
+    catalog = read_joints_folder(joints_corpus({"a": ("train", 50, None)}))
+    assert [c.captions for c in catalog] == [[]]
+    assert not catalog.dropped
+
+
+def test_names_with_spaces_dots_and_windows_line_ends(joints_corpus):
+    root = joints_corpus({"a b.c": ("train", 50)})
+    (root / "train.txt").write_bytes(b"\xef\xbb\xbfa b.c\r\n\r\n")
+    assert [c.name for c in read_joints_folder(root)] == ["a b.c"]
+
+
+def test_missing_split_file_is_named_with_the_layout(joints_corpus):
+    root = joints_corpus({"a": ("train", 50)})
+    (root / "val.txt").unlink()
+    with pytest.raises(FileNotFoundError, match=r"lacks val\.txt; expected layout: joints/NAME\.npy"):
+        read_joints_folder(root)
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        read_joints_folder(root / "nowhere")
+    with pytest.raises(FileNotFoundError, match="lacks new_joint_vecs"):
+        read_official(root)
+
+
+@pytest.mark.parametrize(("again", "says"), [("train", "twice in train"), ("test", "train.txt and test.txt")])
+def test_a_clip_listed_twice_is_refused(joints_corpus, again, says):
+    root = joints_corpus({"a": ("train", 50)})
+    with (root / f"{again}.txt").open("a") as file:
+        file.write("a\n")
+    with pytest.raises(ValueError, match=says):
+        read_joints_folder(root)
+
+
+def test_official_folder_knows_its_mirrored_clips_and_statistics(official_corpus):
+    root = official_corpus({"000001": ("train", 50), "M000001": ("train", 50), "Mimic": ("val", 50)})
+    assert read_official(root).statistics is None
+    np.save(root / "Mean.npy", np.zeros(263))
+    with pytest.raises(FileNotFoundError, match="not its twin"):
+        read_official(root)
+    np.save(root / "Std.npy", np.ones(263))
+    catalog = read_official(root)
+    assert [c.mirrored for c in catalog] == [False, True, False]
+    assert catalog.statistics.mean.shape == (263,)
+    with pytest.raises(ValueError, match="263 wide, kit has 251"):
+        read_official(root, "kit")
+
+
+def test_clip_refuses_unknown_splits_and_two_motions():
+    with pytest.raises(ValueError, match="'dev'"):
+        Clip("a", "dev", joints=lambda: None)
+    with pytest.raises(ValueError, match="either"):
+        Clip("a", "train")

@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import lightning as L
+import pytest
+import torch
+from torch import nn
+
+from kinema.data.datamodule import MotionDataModule
+from kinema.data.prepare import prepare_store
+
+
+def module(store, **changes):
+    return MotionDataModule(store.path, **{"kind": "clips", "batch_size": 8, "steps": 6, **changes})
+
+
+def same(one, two):
+    return torch.equal(one.features, two.features) and one.captions == two.captions and one.clip_ids == two.clip_ids
+
+
+class Recorder(L.LightningModule):
+    """Note what every step saw."""
+
+    def __init__(self):
+        super().__init__()
+        self.weight, self.seen = nn.Parameter(torch.zeros(())), []
+
+    def training_step(self, batch, index):
+        self.seen.append((batch.entries.tolist(), batch.starts.tolist()))
+        return self.weight * batch.features.mean()
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), lr=0.1)
+
+
+def fit(model, data, steps, folder, resume=None):
+    trainer = L.Trainer(
+        max_steps=steps, logger=False, enable_checkpointing=False, enable_progress_bar=False, accelerator="cpu",
+        enable_model_summary=False,
+    )  # fmt: skip
+    trainer.fit(model, data, ckpt_path=resume)
+    trainer.save_checkpoint(folder / f"{steps}.ckpt")
+    return folder / f"{steps}.ckpt"
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", ["windows", "clips"])
+def test_a_resumed_run_sees_what_an_unbroken_one_sees(store, tmp_path, kind):
+    whole, first, second = Recorder(), Recorder(), Recorder()
+    fit(whole, module(store, kind=kind), 6, tmp_path)
+    resume = fit(first, module(store, kind=kind), 4, tmp_path)
+    fit(second, module(store, kind=kind), 6, tmp_path, resume)
+    assert len(whole.seen) == 6
+    assert first.seen + second.seen == whole.seen
+
+
+def test_windows_have_exactly_the_window(store):
+    batch = next(iter(module(store, kind="windows", window=48).train_dataloader()))
+    assert batch.features.shape == (8, 48, 263)
+    assert batch.lengths.tolist() == [48] * 8
+    assert batch.captions == []
+
+
+def test_validation_is_the_same_every_time_and_for_every_seed(store):
+    runs = [list(module(store, seed=seed, val_batch_size=4).val_dataloader()) for seed in (0, 0, 1)]
+    assert sum(len(b.captions) for b in runs[0]) == 10
+    for run in runs[1:]:
+        assert all(same(a, b) for a, b in zip(runs[0], run, strict=True))
+
+
+def test_validation_can_be_bounded(store):
+    batches = list(module(store, kind="windows", val_limit=7, val_batch_size=5).val_dataloader())
+    assert [len(b.lengths) for b in batches] == [5, 2]
+    assert len({(e, s) for b in batches for e, s in zip(b.entries.tolist(), b.starts.tolist(), strict=True)}) == 7
+
+
+@pytest.mark.parametrize("start_method", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
+def test_workers_give_the_same_batches(store, start_method):
+    alone = list(module(store, steps=3).train_dataloader())
+    shared = list(module(store, steps=3, num_workers=2, start_method=start_method).train_dataloader())
+    assert all(same(a, b) for a, b in zip(alone, shared, strict=True))
+
+
+def test_a_replication_is_a_function_of_its_seed(store):
+    data = module(store)
+    runs = [list(data.test_batches("test", r, seed=s, batch_size=4)) for r, s in ((0, 7), (0, 7), (1, 7), (0, 8))]
+    assert all(same(a, b) for a, b in zip(runs[0], runs[1], strict=True))
+    names = [[name for b in run for name in b.clip_ids] for run in runs]
+    assert names[0] != names[2]
+    assert names[0] != names[3]
+
+
+@pytest.mark.parametrize(("leftover", "sizes"), [("drop", [4, 4, 4]), ("keep", [4, 4, 4, 2]), ("mld", [4, 4, 4, 2])])
+def test_leftover_policies(store, leftover, sizes):
+    batches = list(module(store).test_batches("test", 0, 0, batch_size=4, leftover=leftover))
+    assert [len(b.captions) for b in batches] == sizes
+    assert len({name for b in batches for name in b.clip_ids}) == sum(sizes)
+    assert all(b.features.shape[1] == b.lengths.max() for b in batches)
+
+
+def test_a_split_smaller_than_a_batch_is_named(store):
+    with pytest.raises(ValueError, match="14 entries, fewer than one batch of 32; pass leftover='keep'"):
+        next(module(store).test_batches("test", 0, 0))
+    with pytest.raises(ValueError, match="'pad'; choose one of drop, keep, mld"):
+        next(module(store).test_batches("test", 0, 0, leftover="pad"))
+
+
+def test_clips_of_a_corpus_without_captions_fail_before_training(joints_corpus, tmp_path):
+    path = prepare_store("joints", joints_corpus({"a": ("train", 80, None)}), tmp_path / "o", name="mute")
+    with pytest.raises(ValueError, match="no captions"):
+        MotionDataModule(path, kind="clips", batch_size=1, steps=1).setup("fit")
+    MotionDataModule(path, kind="windows", batch_size=1, steps=1).setup("fit")
+
+
+def test_unknown_kind_is_named(store):
+    with pytest.raises(ValueError, match="'frames' of data; choose one of windows, clips"):
+        module(store, kind="frames")
