@@ -88,8 +88,8 @@ class CachedTextEncoder:
         if self.token_dtype is None:
             return TextFeatures(texts, pooled)
         starts, lengths = store.ends[rows], store.ends[rows + 1] - store.ends[rows]
-        values = np.zeros((len(rows), int(lengths.max()), self.token_dim), np.float32)
+        values = np.zeros((len(rows), int(lengths.max()), self.token_dim), store.token_dtype)
         for value, start, length in zip(values, starts, lengths, strict=True):
             value[:length] = store.tokens[start : start + length]
         mask = frame_mask(torch.from_numpy(lengths), values.shape[1])
-        return TextFeatures(texts, pooled, torch.from_numpy(values), mask)
+        return TextFeatures(texts, pooled, torch.from_numpy(values).float(), mask)

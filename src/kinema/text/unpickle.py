@@ -22,7 +22,7 @@ def load_plain(path: Path) -> Any:
     with open(path, "rb") as file:
         try:
             return _PlainUnpickler(file).load()
-        except (pickle.UnpicklingError, EOFError, ValueError, IndexError, KeyError, AttributeError) as error:
+        except (pickle.UnpicklingError, EOFError, ValueError, TypeError, LookupError, AttributeError) as error:
             raise ValueError(
                 f"{path} is refused: {error or 'it is cut off'}. Only lists, dicts, strings and numbers are read from "
                 f"pickles, since they can run any code; fetch the original file, or save it anew from plain containers"

