@@ -94,6 +94,26 @@ def test_data_without_a_record_and_a_damaged_record_are_overwritten(tmp_path):
     assert sorted(again.encoder.seen) == sorted(TEXTS[2:])
 
 
+def test_zeros_left_by_a_crash_are_no_records(tmp_path):
+    first = CachedTextEncoder(Counting(), tmp_path)
+    first(TEXTS[:2])
+    for name in ("pooled.bin", "tokens.bin", "index.bin"):
+        with open(first.folder / name, "ab") as file:
+            file.write(bytes(4096))
+    again = CachedTextEncoder(Counting(), tmp_path)
+    assert_same(again(TEXTS), HashedTextEncoder(16)(TEXTS))
+    assert again.encoded == len(TEXTS) - 2
+
+
+def test_files_that_shrink_under_a_writer_are_not_patched_up(tmp_path):
+    cache = CachedTextEncoder(Counting(), tmp_path)
+    cache(TEXTS[:2])
+    for name in ("pooled.bin", "tokens.bin", "index.bin"):
+        (cache.folder / name).unlink()
+    with pytest.raises(OSError, match="shrank while in use"):
+        cache(TEXTS)
+
+
 def test_an_encoder_that_fails_leaves_nothing_behind(tmp_path):
     class Failing(Counting):
         def __call__(self, texts):

@@ -35,11 +35,11 @@ class PackedFeatures:
         self.folder, self.dim = folder, dim
         self.token_dim = token_dim if token_dtype else 0
         self.token_dtype = np.dtype(token_dtype or "float32")
-        self._claim(
-            {"format": FORMAT, "encoder": identity, "dim": dim, "token_dim": token_dim, "token_dtype": token_dtype}
-        )
+        shape = {"dim": dim, "token_dim": token_dim, "token_dtype": token_dtype}
+        self._claim({"format": FORMAT, "encoder": identity} | shape)
         self.index: dict[str, int] = {}
-        self._ends = [0]
+        self._ends = [0]  # of each text's tokens; one more than there are records
+        self._ends_array = np.array(self._ends)
         self._read = 0
         self.pooled = self.tokens = np.zeros((0, 1), np.float32)
         self.refresh()
@@ -63,7 +63,10 @@ class PackedFeatures:
             self._ends_array = np.array(self._ends)
         return self._ends_array
 
-    _ends_array = np.zeros(0, np.int64)
+    @property
+    def rows(self) -> int:
+        """Give the number of records."""
+        return len(self._ends) - 1
 
     def refresh(self) -> None:
         """Take in the records that other processes have added; stop at one that is not whole."""
@@ -73,32 +76,30 @@ class PackedFeatures:
                 data = file.read()
         except FileNotFoundError:
             return
-        rows, token_rows = (self._rows("pooled.bin"), self._rows("tokens.bin"))
-        at, known = 0, len(self.index)
+        rows, token_rows = self._whole_rows("pooled.bin"), self._whole_rows("tokens.bin")
+        at, known = 0, self.rows
         while at + _HEADER.size <= len(data):
             size, count, checksum = _HEADER.unpack_from(data, at)
             text = data[at + _HEADER.size : at + _HEADER.size + size]
-            if len(text) < size or zlib.crc32(text, size ^ count) != checksum:
-                break
             end = self._ends[-1] + (count if self.token_dim else 0)
-            if len(self._ends) > rows or end > token_rows:
+            if _checksum(text, count) != checksum or len(text) < size or self.rows >= rows or end > token_rows:
                 break
-            self.index[text.decode()] = len(self._ends) - 1
+            self.index[text.decode()] = self.rows
             self._ends.append(end)
             at += _HEADER.size + size
         self._read += at
-        if len(self.index) > known:
+        if self.rows > known:
             self._map()
 
     def _row_bytes(self, name: str) -> int:
         return self.dim * 4 if name == "pooled.bin" else self.token_dim * self.token_dtype.itemsize
 
-    def _rows(self, name: str) -> int:
+    def _whole_rows(self, name: str) -> int:
         path, width = self.folder / name, self._row_bytes(name)
         return path.stat().st_size // width if width and path.exists() else 0
 
     def _map(self) -> None:
-        self.pooled = np.memmap(self.folder / "pooled.bin", np.float32, "r", shape=(len(self.index), self.dim))
+        self.pooled = np.memmap(self.folder / "pooled.bin", np.float32, "r", shape=(self.rows, self.dim))
         if self._ends[-1]:
             shape = (self._ends[-1], self.token_dim)
             self.tokens = np.memmap(self.folder / "tokens.bin", self.token_dtype, "r", shape=shape)
@@ -116,9 +117,9 @@ class PackedFeatures:
         """Add texts that are new; call inside `writing`."""
         records = bytearray()
         for text, rows in zip(texts, tokens, strict=True):
-            raw, count = text.encode(), len(rows)
-            records += _HEADER.pack(len(raw), count, zlib.crc32(raw, len(raw) ^ count)) + raw
-        self._write("pooled.bin", len(self.index) * self._row_bytes("pooled.bin"), pooled.astype(np.float32).tobytes())
+            raw = text.encode()
+            records += _HEADER.pack(len(raw), len(rows), _checksum(raw, len(rows))) + raw
+        self._write("pooled.bin", self.rows * self._row_bytes("pooled.bin"), pooled.astype(np.float32).tobytes())
         if self.token_dim:
             packed = np.concatenate(tokens).astype(self.token_dtype).tobytes()
             self._write("tokens.bin", self._ends[-1] * self._row_bytes("tokens.bin"), packed)
@@ -128,11 +129,18 @@ class PackedFeatures:
     def _write(self, name: str, at: int, data: bytes) -> None:
         """Write behind the last byte that a whole record refers to; cut off what a killed process left there."""
         with _open_for_update(self.folder / name) as file:
+            if os.fstat(file.fileno()).st_size < at:
+                raise OSError(f"{self.folder / name} shrank while in use; leave the folder alone and start again")
             file.truncate(at)
             file.seek(at)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
+
+
+def _checksum(text: bytes, count: int) -> int:
+    """Check a record; never 0 for the zeros that a crash of the machine can leave."""
+    return zlib.crc32(text, 1 + count)
 
 
 def _open_for_update(path: Path) -> BinaryIO:
