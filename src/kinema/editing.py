@@ -67,6 +67,34 @@ def stack_sources(
     return torch.from_numpy(stacked), frames, filled
 
 
+def parse_ranges(text: str, length: int, fps: float) -> Ranges:
+    """Read "20:60,80:" (frames) or "1s:2.5s" (seconds), or give the ranges of a named task."""
+    if text in TASKS:
+        return _resolve(text, length)
+    ranges = []
+    for part in text.split(","):
+        start, separator, end = part.partition(":")
+        if not separator:
+            tasks = ", ".join(TASKS)
+            raise ValueError(f"range {part!r} is no START:END; give frames (20:60), seconds (1s:2.5s) or {tasks}")
+        ranges.append((_frame(start or "0", fps), _frame(end or str(length), fps)))
+    return _resolve(ranges, length)
+
+
+def complement(ranges: Ranges, length: int) -> Ranges:
+    """Give the ranges between the ranges."""
+    edited = edited_frames([ranges], length)[0].tolist()
+    borders = [i for i in range(length + 1) if (i < length and not edited[i]) != (i > 0 and not edited[i - 1])]
+    return list(zip(borders[::2], borders[1::2], strict=True))
+
+
+def _frame(text: str, fps: float) -> int:
+    try:
+        return round(float(text[:-1]) * fps) if text.endswith("s") else int(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is neither a frame (20) nor a time in seconds (1.5s)") from None
+
+
 def _is_ranges(frames: Sequence) -> bool:
     return all(
         not isinstance(r, str) and len(r) == 2 and all(isinstance(v, int | np.integer) for v in r) for r in frames

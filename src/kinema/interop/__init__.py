@@ -59,8 +59,12 @@ def load(kind: str, source: str | Path | Mapping[str, Any], **options: Any) -> n
 
 
 def _checked(kind: str, importer: Any, options: dict[str, Any]) -> dict[str, Any]:
-    allowed = list(inspect.signature(importer).parameters)[1:]
+    parameters = list(inspect.signature(importer).parameters.values())[1:]
+    allowed = [p.name for p in parameters]
     for name in options:
         if name not in allowed:
             raise ValueError(f"{kind!r} has no option {name!r}; allowed: {', '.join(allowed) or 'none'}")
+    for parameter in parameters:
+        if parameter.default is parameter.empty and parameter.name not in options:
+            raise ValueError(f"{kind!r} needs the option {parameter.name!r}: {inspect.getdoc(importer)}")
     return options

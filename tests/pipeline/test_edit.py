@@ -1,0 +1,112 @@
+"""An edit changes what it is asked to and nothing else; what follows it moves on from where it ends."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinema.editing import TASKS, complement, parse_ranges, resolve_ranges
+
+
+@pytest.fixture
+def motions(model):
+    return model.generate(["a person walks", "a man jumps"], [38, 60], seed=1)
+
+
+@pytest.mark.parametrize(
+    "frames", [[(10, 20)], [(0, 5), (30, 38)], [(37, 38)], "prefix", "suffix", "inbetween", "outpaint"]
+)
+def test_kept_rows_come_back_bit_equal_and_the_rest_is_new(model, motions, frames):
+    edited = model.edit(motions, "someone turns around", frames, seed=2)
+    for motion, result, ranges in zip(motions, edited, resolve_ranges(frames, [38, 60]), strict=True):
+        changed = np.zeros(len(motion.features), bool)
+        for start, end in ranges:
+            changed[start:end] = True
+        assert result.features.shape == motion.features.shape
+        assert np.array_equal(result.features[~changed], motion.features[~changed])
+        assert (np.abs(result.features[changed] - motion.features[changed]).max(axis=1) > 1e-4).all()
+        assert result.text == "someone turns around"
+
+
+def test_the_kept_part_behind_an_edit_is_moved_rigidly(model, motions):
+    (edited,) = model.edit(motions[1], "someone turns around", [(20, 30)], seed=2)
+    before, after = motions[1].joints, edited.joints
+    np.testing.assert_allclose(after[:20], before[:20], atol=1e-4)
+    assert np.abs(after[40:] - before[40:]).max() > 0.01
+    distances = [np.linalg.norm(j[30:, :, None] - j[30:, None], axis=-1) for j in (before, after)]
+    np.testing.assert_allclose(*distances, atol=1e-3)
+    paths = [np.linalg.norm(np.diff(j[30:, 0], axis=0), axis=-1) for j in (before, after)]
+    np.testing.assert_allclose(*paths, atol=1e-3)
+
+
+def test_the_raw_decoding_touches_all_rows(model, motions):
+    raw = model.edit(motions, "someone waves", [(8, 16)], seed=2, paste=False)
+    pasted = model.edit(motions, "someone waves", [(8, 16)], seed=2)
+    for source, one, other in zip(motions, raw, pasted, strict=True):
+        assert np.abs(one.features[20:] - source.features[20:]).max() > 1e-3
+        np.testing.assert_allclose(one.features[8:16], other.features[8:16], atol=1e-5)
+
+
+def test_an_edit_depends_on_its_seed_and_not_on_its_batch(model, motions):
+    edited = model.edit(motions, "someone waves", "inbetween", seed=4)
+    for motion, result in zip(motions, edited, strict=True):
+        (alone,) = model.edit(motion, "someone waves", "inbetween", seed=result.seed)
+        np.testing.assert_allclose(alone.features, result.features, rtol=1e-4, atol=1e-4)
+
+
+def test_one_motion_goes_with_many_texts_and_each_motion_can_have_its_own_ranges(model, motions):
+    edited = model.edit(motions[0], ["someone waves", "a man bows"], "prefix", seed=4)
+    assert [m.text for m in edited] == ["someone waves", "a man bows"]
+    edited = model.edit(motions, "someone waves", [[(0, 8)], "suffix"], seed=4)
+    assert np.array_equal(edited[0].features[8:], motions[0].features[8:])
+    assert np.array_equal(edited[1].features[30:], motions[1].features[30:])
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        ([(10, 39)], r"range \(10, 39\) is outside the clip; it has frames 0 to 38"),
+        ([(-1, 5)], r"range \(-1, 5\)"),
+        ([(5, 5)], r"range \(5, 5\)"),
+        ([], "nothing to regenerate"),
+        ("middle", "unknown edit 'middle'; allowed: prefix, suffix, inbetween, outpaint"),
+        ([[(0, 4)], [(0, 4)], [(0, 4)]], "ranges for 3 motions, but there are 2"),
+    ],
+)
+def test_bad_ranges_are_named(model, motions, frames, message):
+    with pytest.raises(ValueError, match=message):
+        model.edit(motions, "someone waves", frames)
+
+
+def test_motions_that_do_not_fit_the_model_are_named(model, motions):
+    with pytest.raises(ValueError, match="motion 0 has the skeleton 'kit', the model 'humanml3d'"):
+        model.edit(replace(motions[0], skeleton="kit"), "someone waves", "prefix")
+    with pytest.raises(ValueError, match="motion 0 has 60 feature columns"):
+        model.edit(replace(motions[0], features=motions[0].features[:, :60]), "someone waves", "prefix")
+    with pytest.raises(ValueError, match="length 200 is out of range"):
+        model.edit(replace(motions[0], features=np.zeros((200, 67), np.float32)), "someone waves", "prefix")
+    with pytest.raises(ValueError, match="2 motions and 3 texts"):
+        model.edit(motions, ["a", "b", "c"], "prefix")
+
+
+@pytest.mark.parametrize("length", [7, 38, 40, 196])
+def test_the_tasks_keep_what_their_names_say(length):
+    kept = {task: complement(ranges(length), length) for task, ranges in TASKS.items()}
+    assert kept["prefix"] == [(0, length // 2)]
+    assert kept["suffix"] == [(length - length // 2, length)]
+    assert kept["inbetween"] == [(0, length // 4), (length - length // 4, length)]
+    assert kept["outpaint"] == [(length // 4, length // 4 + length // 2)]
+
+
+def test_ranges_as_text():
+    assert parse_ranges("20:60,80:", 100, 20.0) == [(20, 60), (80, 100)]
+    assert parse_ranges("1s:2.5s", 100, 20.0) == [(20, 50)]
+    assert parse_ranges(":1s", 100, 12.5) == [(0, 12)]
+    assert parse_ranges("prefix", 100, 20.0) == [(50, 100)]
+    assert complement([(20, 60), (80, 100)], 100) == [(0, 20), (60, 80)]
+    assert complement([(0, 100)], 100) == []
+    for text, message in (("20-60", "is no START:END"), ("a:5", "neither a frame"), ("0:200", "is outside")):
+        with pytest.raises(ValueError, match=message):
+            parse_ranges(text, 100, 20.0)

@@ -1,0 +1,102 @@
+"""Text comes out as motion of the asked length, the same for the same seed, whatever else is in the batch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from kinema.motion.recovery import recover_joints
+from kinema.pipeline import TextToMotion, best_device, sample_seeds
+
+TEXTS = ["a person walks", "a man jumps twice", "someone waves"]
+CLOSE = {"rtol": 1e-4, "atol": 1e-4}
+
+
+def same(a, b):
+    assert [m.text for m in a] == [m.text for m in b]
+    for one, other in zip(a, b, strict=True):
+        np.testing.assert_allclose(one.features, other.features, **CLOSE)
+
+
+@pytest.mark.parametrize("frames", [1, 37, 40, 196])
+def test_any_length_comes_out_exactly(model, frames):
+    (motion,) = model.generate("a person walks", frames, seed=1)
+    assert motion.joints.shape == (frames, 22, 3)
+    assert motion.features.shape == (frames, 67)
+    assert motion.features[-1].any()
+    assert (motion.skeleton, motion.fps, motion.text, motion.seed) == ("humanml3d", 20, "a person walks", 1)
+    joints = recover_joints(torch.from_numpy(motion.features), model.skeleton).numpy()
+    np.testing.assert_allclose(motion.joints, joints, atol=1e-5)
+
+
+def test_the_same_seed_gives_the_same_motions_whatever_the_batches(model):
+    frames = [37, 60, 16]
+    motions = model.generate(TEXTS, frames, seed=5)
+    same(model.generate(TEXTS, frames, seed=5), motions)
+    same(model.generate(TEXTS, frames, seed=5, batch_size=1), motions)
+    same(model.generate(TEXTS, frames, seed=5, batch_size=2), motions)
+    assert np.abs(model.generate(TEXTS[0], 37, seed=6)[0].features - motions[0].features).max() > 0.01
+
+
+def test_a_motions_own_seed_repeats_it_alone(model):
+    motions = model.generate(TEXTS, 20)
+    for motion in motions:
+        same(model.generate(motion.text, 20, seed=motion.seed), [motion])
+    same(model.generate(TEXTS, 20, seed=motions[0].seed), motions)
+
+
+def test_seeds_differ_and_the_global_state_is_left_alone(model):
+    seeds = sample_seeds(7, 1000)
+    assert seeds[0] == 7
+    assert len(set(seeds)) == 1000
+    assert sample_seeds(7, 3) == seeds[:3]
+    assert sample_seeds(None, 1) != sample_seeds(None, 1)
+    state = torch.get_rng_state()
+    model.generate("a person walks", 16, seed=1)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_text_and_sampling_matter(model):
+    base = model.generate("a person walks", 20, seed=1)[0].features
+    assert np.abs(model.generate("a man jumps", 20, seed=1)[0].features - base).max() > 1e-3
+    assert np.abs(model.generate("a person walks", 20, seed=1, guidance=5.0)[0].features - base).max() > 1e-3
+
+
+def test_lengths_in_seconds_or_from_the_text(model):
+    assert [len(m.joints) for m in model.generate(TEXTS[:2], seconds=[1.0, 2.5], seed=0)] == [20, 50]
+    motions = model.generate(TEXTS, seed=3)
+    assert all(4 <= len(m.joints) <= 196 for m in motions)
+    same(model.generate(TEXTS, seed=3, batch_size=1), motions)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"texts": "  "}, "text 0 is empty"),
+        ({"texts": []}, "no texts"),
+        ({"frames": 0}, "length 0 is out of range; allowed: 1 to 196 frames"),
+        ({"frames": 197}, r"length 197 is out of range; allowed: 1 to 196 frames \(9.8 seconds at 20"),
+        ({"frames": None, "seconds": 60.0}, "length 1200"),
+        ({"frames": 40, "seconds": 2.0}, "give one of them"),
+        ({"frames": [40, 40]}, "2 lengths for 1 texts"),
+        ({"guidence": 3}, "unknown sampling field 'guidence'; allowed: steps, guidance"),
+        ({"steps": 0}, "steps is 0"),
+        ({"seed": -1}, "seed -1 is out of range"),
+        ({"batch_size": 0}, "batch_size is 0"),
+    ],
+)
+def test_bad_requests_are_named(model, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        model.generate(**{"texts": "a person walks", "frames": 20, **arguments})
+
+
+def test_no_length_and_nothing_to_estimate_it(model):
+    bare = TextToMotion(model.tokenizer, model.generator, model.text_encoder)
+    with pytest.raises(ValueError, match="no length: give frames= or seconds="):
+        bare.generate("a person walks")
+
+
+def test_a_device_is_chosen(model):
+    assert model.to(best_device()).device.type == best_device().type
+    model.to("cpu")

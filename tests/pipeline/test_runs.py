@@ -1,0 +1,164 @@
+"""Run folders and artifacts come back bit-equal, whole or not at all, and say what is wrong with them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import nn
+
+from kinema import artifacts
+from kinema.folders import write_json
+from kinema.pipeline import TextToMotion
+
+
+def tokenizer_of(parts):
+    return parts[0], parts[0].spec
+
+
+def test_an_artifact_comes_back_bit_equal(parts, tmp_path):
+    module, spec = tokenizer_of(parts)
+    file = artifacts.save(module, spec, tmp_path / "deep" / "weights.safetensors", stage="tokenizer", step=3)
+    state = torch.get_rng_state()
+    again, meta = artifacts.load(file)
+    assert torch.equal(torch.get_rng_state(), state)
+    assert (meta["stage"], meta["step"], meta["spec"]) == ("tokenizer", 3, spec)
+    assert again.spec == spec
+    assert not again.training
+    for key, value in module.state_dict().items():
+        assert torch.equal(again.state_dict()[key], value), key
+    assert artifacts.read_meta(file) == meta
+    copy = artifacts.save(again, spec, tmp_path / "copy.safetensors", stage="tokenizer", step=3)
+    assert copy.read_bytes() == file.read_bytes()
+
+
+class Tied(nn.Module):
+    """Hold one parameter under two names, a view, and a non-contiguous buffer."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.first = nn.Linear(4, 4)
+        self.second = nn.Linear(4, 4)
+        self.second.weight = self.first.weight
+        self.register_buffer("turned", torch.arange(6.0).reshape(2, 3).T)
+        self.register_buffer("part", torch.arange(10.0)[2:5])
+
+
+def test_shared_and_strided_tensors_are_written(tmp_path):
+    file = artifacts.save(Tied(), {"_target_": "kinema.x.Y"}, tmp_path / "weights.safetensors")
+    from safetensors.torch import load_file
+
+    state = load_file(file)
+    assert torch.equal(state["first.weight"], state["second.weight"])
+    assert torch.equal(state["turned"], torch.arange(6.0).reshape(2, 3).T)
+    assert file.stat().st_size < 4096
+
+
+def test_damaged_and_foreign_files_are_named(parts, tmp_path):
+    module, spec = tokenizer_of(parts)
+    file = artifacts.save(module, spec, tmp_path / "weights.safetensors")
+    whole = file.read_bytes()
+    for kept in (0, 5, 100, len(whole) - 1):
+        file.write_bytes(whole[:kept])
+        for read in (artifacts.load, artifacts.read_meta):
+            with pytest.raises(ValueError, match=r"weights\.safetensors cannot be read"):
+                read(file)
+    save_file({"a": torch.zeros(1)}, file)
+    with pytest.raises(ValueError, match=r"was not written by kinema.*kinema import"):
+        artifacts.load(file)
+    with pytest.raises(FileNotFoundError, match="no weights at"):
+        artifacts.load(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"width": 8}, "do not fit version"),
+        ({"breadth": 8}, "breadth"),
+        ({"_target_": "os.system"}, "outside the trusted packages"),
+        ({"_target_": "kinema.motion.statistics.Statistics"}, "arguments"),
+    ],
+)
+def test_a_spec_that_does_not_fit_its_weights_is_named(parts, tmp_path, change, message):
+    module, spec = tokenizer_of(parts)
+    file = artifacts.save(module, {**spec, **change}, tmp_path / "weights.safetensors")
+    with pytest.raises(ValueError, match=message):
+        artifacts.load(file)
+
+
+def test_a_spec_must_be_plain(parts, tmp_path):
+    with pytest.raises(ValueError, match="must be plain"):
+        artifacts.save(parts[0], {"representation": parts[0].representation}, tmp_path / "weights.safetensors")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_leaves_the_old_file(parts, tmp_path, monkeypatch):
+    module, spec = tokenizer_of(parts)
+    file = artifacts.save(module, spec, tmp_path / "weights.safetensors")
+    before = file.read_bytes()
+
+    def full(tensors, path, metadata):
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(artifacts, "save_file", full)
+    with pytest.raises(OSError, match=r"could not write .*weights\.safetensors.*No space left"):
+        artifacts.save(module, spec, file)
+    assert file.read_bytes() == before
+    assert [f.name for f in tmp_path.iterdir()] == ["weights.safetensors"]
+
+
+def test_a_run_and_its_portable_copy_generate_the_same(model, run, tmp_path):
+    expected = model.generate("a person walks", 22, seed=3)[0].features
+    loaded = TextToMotion.from_run(run, "cpu")
+    assert np.array_equal(loaded.generate("a person walks", 22, seed=3)[0].features, expected)
+    with_length = TextToMotion.from_run(run, "cpu", length=run.parent / "length")
+    portable = with_length.save(tmp_path / "portable")
+    shutil.rmtree(run.parent)
+    shutil.move(portable, tmp_path / "elsewhere")
+    again = TextToMotion.from_run(tmp_path / "elsewhere", "cpu")
+    assert np.array_equal(again.generate("a person walks", 22, seed=3)[0].features, expected)
+    assert np.array_equal(again.generate("x", seed=3)[0].features, model.generate("x", seed=3)[0].features)
+
+
+def test_saving_never_overwrites_and_leaves_no_half(model, tmp_path, monkeypatch):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(ValueError, match="taken exists; choose another"):
+        model.save(tmp_path / "taken")
+    monkeypatch.delattr(model.tokenizer, "spec")
+    with pytest.raises(ValueError, match="AutoEncoder has no spec"):
+        model.save(tmp_path / "new")
+    assert [f.name for f in tmp_path.iterdir()] == ["taken"]
+
+
+def test_unfit_run_folders_are_named(run):
+    def fails(error, message, folder=run):
+        with pytest.raises(error, match=message):
+            TextToMotion.from_run(folder, "cpu")
+
+    fails(FileNotFoundError, "no run folder at", run / "none")
+    fails(ValueError, "holds a AutoEncoder; give the run folder of a generator", run.parent / "tokenizer")
+    write_json(run / "text.json", {"encoder": "nothing"})
+    fails(ValueError, "unknown text encoder 'nothing'")
+    (run / "text.json").unlink()
+    fails(ValueError, r"text\.json names no encoder")
+    (run / "upstream.json").write_text("{")
+    fails(ValueError, r"upstream\.json is damaged")
+    write_json(run / "upstream.json", {"tokenizer": "../gone"})
+    write_json(run / "text.json", {"encoder": "hashed"})
+    fails(FileNotFoundError, "no run folder at .*gone")
+    (run / "weights.safetensors").unlink()
+    write_json(run / "status.json", {"state": "running"})
+    fails(FileNotFoundError, r"has no weights\.safetensors \(its state is 'running'\)")
+
+
+def test_another_text_encoder_than_in_training_is_refused(parts, run):
+    generator = parts[1]
+    artifacts.save(generator, generator.spec, run / "weights.safetensors", text="clip_b32-abc")
+    with pytest.raises(ValueError, match="was trained with the text encoder clip_b32-abc, this one is hashed-64"):
+        TextToMotion.from_run(run, "cpu")
+    assert json.loads((run / "text.json").read_text())["encoder"] == "hashed"
