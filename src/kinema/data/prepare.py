@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import importlib
+import inspect
 import json
 import multiprocessing
 import os
@@ -36,7 +37,11 @@ READERS = {
     "official": "kinema.data.catalog:read_official",
     "synthetic": "kinema.data.synthetic:synthetic_catalog",
 }
-"""Readers by name: `reader(source, **options) -> Catalog`; add a corpus format here."""
+"""Readers by name: `reader(source, **options) -> Catalog`; add a corpus format here.
+
+A reader that takes a `skeleton` is given the corpus'. The `VERSION` of a reader's module, if it has one, is part of a
+request: raise it when the same source gives other clips.
+"""
 
 
 def prepare_store(
@@ -62,15 +67,16 @@ def prepare_store(
         raise ValueError(f"unknown reader {reader!r}; choose one of {', '.join(READERS)}")
     mirror = reader != "official" if mirror is None else mirror
     options = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
-    asked = [FORMAT, VERSION, reader, options, max_missing, reader_options, _listing(source)]
+    module, _, function = READERS[reader].partition(":")
+    read = getattr(importlib.import_module(module), function)
+    if "skeleton" in inspect.signature(read).parameters:
+        reader_options["skeleton"] = skeleton
+    versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
+    asked = [versions, reader, options, max_missing, reader_options, _listing(source)]
     request = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:12]
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
     if _request_of(out) == request:
         return out
-    module, _, function = READERS[reader].partition(":")
-    read = getattr(importlib.import_module(module), function)
-    if reader == "official":
-        reader_options["skeleton"] = skeleton
     catalog = read(**reader_options) if source is None else read(source, **reader_options)
     return prepare(catalog, out, **options, max_missing=max_missing, processes=processes, request=request)
 
