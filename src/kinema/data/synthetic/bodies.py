@@ -33,7 +33,7 @@ _HUMANML3D_DIRECTIONS = {
 # KIT's unit is about 0.6 of a millimetre (HUMANML3D_DATA §1), so these are offsets of a person of 1.75 m.
 _KIT_OFFSETS = {
     1: (0, 55, 0), 2: (0, 95, -5), 3: (0, 150, 0), 4: (0, 95, 10), 8: (105, -30, 0), 9: (0, -165, 0), 10: (0, -150, 0),
-    16: (52, -42, 0), 17: (0, -238, 0), 18: (0, -240, 0), 19: (8, -38, 70), 20: (4, -4, 42),
+    16: (52, -42, 0), 17: (0, -238, 0), 18: (0, -240, 0), 19: (8, -38, 70), 20: (4, 0, 42),
 }  # fmt: skip
 
 
@@ -140,7 +140,7 @@ def _foot(body: Body, side: int, foot: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _drop(body: Body, root: np.ndarray, pelvis: np.ndarray, ankles: list[np.ndarray]) -> np.ndarray:
     """Say how far the root must come down so that both legs reach, as a smooth maximum."""
-    reach, sharpness, excess = 0.995 * body.leg, 80 / body.leg, [np.zeros(len(root))]
+    reach, sharpness, excess = 0.995 * body.leg, 40 / body.leg, [np.zeros(len(root))]
     for leg, ankle in zip(body.layout.legs, ankles, strict=True):
         gap = root + pelvis @ body.offsets[leg[0]] - ankle
         flat = np.square(gap[:, [0, 2]]).sum(1)

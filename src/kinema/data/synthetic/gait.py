@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinema.data.synthetic.plan import Plan
-from kinema.data.synthetic.tracks import FOOT_X, RAD, STANDING, TOE_OUT, Tracks, smooth
+from kinema.data.synthetic.tracks import FOOT_X, RAD, STANDING, TOE_OUT, Tracks, pulse, smooth
 
 Path = Callable[[np.ndarray, float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 """From the way gone (and its total, where it ends) to x, z and heading."""
@@ -25,7 +25,7 @@ class Gait:
     cadence: float = 0.95
     stride: float = 1.5
     stance: float = 0.62
-    lift: float = 0.07
+    lift: float = 0.09
     heel: float = 35 * RAD
     swing: float = 25 * RAD
     elbow: float = 20 * RAD
@@ -129,8 +129,8 @@ def _feet(
         x, z, yaw = at(index + ahead + gait.stance / 2 - side / 2)
         across = gait.width * (1 - 2 * side)
         places.append(np.stack([x + across * np.cos(yaw), 0 * x, z - across * np.sin(yaw), yaw, 0 * yaw], axis=-1))
-    foot = places[0] + smooth(sway)[:, None] * (places[1] - places[0])
-    foot[:, 1] = gait.lift * plan.size * np.sin(np.pi * sway) ** 2
+    foot = places[0] + (sway * sway * (3 - 2 * sway))[:, None] * (places[1] - places[0])
+    foot[:, 1] = gait.lift * plan.size * pulse(sway, 0.45, 0.55)
     rise = smooth((u - 0.65 * gait.stance) / (0.4 * gait.stance)) * smooth((1 - sway) / 0.75)
     foot[:, 3] += TOE_OUT * (1 - 2 * side)
     foot[:, 4] = gait.heel * rise - 12 * RAD * np.sin(np.pi * np.clip((sway - 0.5) / 0.5, 0, 1)) ** 2

@@ -111,9 +111,9 @@ def clap(plan: Plan) -> Tracks:
     apart = 0.5 + 0.5 * np.cos(2 * np.pi * phase)
     for side in (0, 1):
         if over:
-            tracks.arm(side, up, swing=0, out=150 - 40 * apart + 12, twist=90, elbow=28 - 20 * apart)
+            tracks.arm(side, up, swing=17, out=174 - 38 * apart, across=34, twist=80, elbow=27)
         else:
-            tracks.arm(side, up, swing=48, out=8, across=-22 * apart, twist=-52 + 26 * apart, elbow=72)
+            tracks.arm(side, up, swing=55, out=30, across=3 - 16 * apart, twist=-48 + 30 * apart, elbow=75)
     return tracks
 
 
@@ -130,7 +130,7 @@ def drink(plan: Plan) -> Tracks:
     up = pulse(u, 0.35, 0.35)
     held = plan.held(tracks, 0.3, 0.3)
     tracks.arm(0, held, swing=12, elbow=80, twist=-15)
-    tracks.arm(0, up, swing=52, out=22, twist=-48, elbow=142)
+    tracks.arm(0, up, swing=68, out=23, across=8, twist=-26, elbow=121)
     tracks.head[:, 0] -= 18 * RAD * up
     return tracks
 
@@ -179,12 +179,13 @@ def push(plan: Plan) -> Tracks:
 def arm_circles(plan: Plan) -> Tracks:
     hands = _hands(plan)
     forward = plan.choose("way", {True: ("forward", "forwards"), False: ("backward", "backwards")})
-    tracks, u, index = plan.repeat(plan.count(1.5, 4), 1.5)
-    angle = 360 * (index + u) * (-1 if forward else 1)
+    tracks, u, _ = plan.repeat(plan.count(1.5, 4), 1.5)
+    # Within half a turn of hanging: the same posture, but one that can be blended with another action's.
+    angle = (360 * u + 180) % 360 - 180
     rounds = plan.held(tracks, 0.25, 0.25)
     for side in hands:
         tracks.arm(side, rounds, out=16, elbow=8)
-        tracks.arms[:, side, 0] += angle * RAD
+        tracks.arms[:, side, 0] += angle * RAD * (-1 if forward else 1)
     return tracks
 
 
@@ -217,7 +218,7 @@ def look(plan: Plan) -> Tracks:
 def scratch_head(plan: Plan) -> Tracks:
     tracks, up = plan.during(0.7, 0.7)
     rub = np.sin(2 * np.pi * 2.0 * plan.tempo * tracks.time)
-    tracks.arm(0, up, swing=70, out=62, twist=8, elbow=138 + 6 * rub)
+    tracks.arm(0, up, swing=108, out=65, across=16, twist=51, elbow=119 + 6 * rub)
     tracks.head[:, 2] += 10 * RAD * up
     return tracks
 
@@ -243,7 +244,7 @@ def swing_bat(plan: Plan) -> Tracks:
 )
 def salute(plan: Plan) -> Tracks:
     tracks, up = plan.during(0.4, 0.5)
-    tracks.arm(0, up, swing=20, out=80, twist=62, elbow=142)
+    tracks.arm(0, up, swing=100, out=77, across=-5, twist=49, elbow=107)
     return tracks
 
 
@@ -252,7 +253,7 @@ def cross_arms(plan: Plan) -> Tracks:
     plan.words["chest"] = ("over the chest", "in front of the chest")
     tracks, up = plan.during(0.6, 0.6)
     for side in (0, 1):
-        tracks.arm(side, up, swing=32 + 4 * side, out=10, twist=-78, elbow=98)
+        tracks.arm(side, up, swing=47 + 4 * side, out=12, across=25, twist=-67, elbow=71)
     return tracks
 
 

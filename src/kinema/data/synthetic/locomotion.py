@@ -195,7 +195,7 @@ def dance(plan: Plan) -> Tracks:
     on = plan.held(tracks, 0.5, 0.5) if plan.closed else np.ones(tracks.frames)
     beat = on * np.sin(2 * np.pi * phase)
     tracks.trunk(beat, roll=18 if moves == "sway" else 5, twist=35 if moves == "twist" else 5)
-    tracks.hips(on * np.sin(4 * np.pi * phase) ** 2, drop=0.13 if moves == "bounce" else 0.02)
+    tracks.hips(on * np.sin(2 * np.pi * phase) ** 2, drop=0.13 if moves == "bounce" else 0.02)
     for side, sign in enumerate((1, -1)):
         if moves == "arms up":
             tracks.arm(side, on, out=150 + 18 * sign * beat, elbow=30)

@@ -35,7 +35,7 @@ def squat(plan: Plan) -> Tracks:
     if arms == "front":
         both_arms(tracks, down, swing=105, out=2, elbow=5)
     if arms == "hips":
-        both_arms(tracks, held, out=42, swing=-22, twist=-60, elbow=98)
+        both_arms(tracks, held, out=31, swing=0, across=-26, twist=-82, elbow=78)
     return tracks
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 RAD = np.pi / 180
-STANDING = 0.97
+STANDING = 0.98
 """Height of the hips over the ankles in leg lengths when standing at ease."""
 FOOT_X = 0.1
 """Half the distance of the feet when standing at ease, in leg lengths."""
