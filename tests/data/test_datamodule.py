@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import lightning as L
 import pytest
 import torch
@@ -114,3 +116,37 @@ def test_clips_of_a_corpus_without_captions_fail_before_training(joints_corpus, 
 def test_unknown_kind_is_named(store):
     with pytest.raises(ValueError, match="'frames' of data; choose one of windows, clips"):
         module(store, kind="frames")
+
+
+class Writer(Recorder):
+    """Write what every step of a rank saw to a file."""
+
+    def __init__(self, folder):
+        super().__init__()
+        self.folder = folder
+
+    def on_train_end(self):
+        (self.folder / f"{self.global_rank}.json").write_text(json.dumps(self.seen))
+
+
+def fit_on_two_ranks(model, data, sharded_again):
+    L.Trainer(
+        max_steps=3, devices=2, accelerator="cpu", strategy="ddp_fork", use_distributed_sampler=sharded_again,
+        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+    ).fit(model, data)  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_two_ranks_see_together_what_one_process_sees(store, tmp_path):
+    alone = Recorder()
+    fit(alone, module(store), 3, tmp_path)
+    fit_on_two_ranks(Writer(tmp_path), module(store), sharded_again=False)
+    ranks = [json.loads((tmp_path / f"{rank}.json").read_text()) for rank in (0, 1)]
+    together = [([*e0, *e1], [*s0, *s1]) for (e0, s0), (e1, s1) in zip(*ranks, strict=True)]
+    assert together == alone.seen
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_trainer_that_would_share_out_again_is_refused(store, tmp_path):
+    with pytest.raises(Exception, match="use_distributed_sampler=False"):
+        fit_on_two_ranks(Writer(tmp_path), module(store), sharded_again=True)
