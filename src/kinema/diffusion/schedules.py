@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import torch
 from jaxtyping import Float, Int
@@ -104,7 +105,8 @@ def spaced_timesteps(total: int, steps: int | str) -> Int[Tensor, " s"]:
     kept, start = [], 0
     for size, count in zip(sizes, counts, strict=True):
         stride = (size - 1) / (count - 1) if count > 1 else 1.0
-        kept += [start + round(i * stride) for i in range(count)]
+        # A running sum, as published: its float error decides where a half is rounded (12 * 49 / 24 gives 25, not 24).
+        kept += [start + round(position) for position in accumulate([0.0] + [stride] * (count - 1))]
         start += size
     return torch.tensor(kept)
 

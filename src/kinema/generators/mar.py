@@ -14,7 +14,7 @@ from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.diffusion.guidance import guided
 from kinema.generators.mar_sampling import MarSampling, latent_lengths, plan, start
-from kinema.generators.mar_training import MarDraws, corrupt, mean_rows, training_mask
+from kinema.generators.mar_training import MarDraws, check_latents, corrupt, mean_rows, training_mask
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
@@ -128,7 +128,9 @@ class MaskedAutoregressive(nn.Module):
         `shard` = (rank, world); the mean is over the masked rows of all ranks, so that ranks together equal one
         process. Dropout is torch's own. `draws` replaces them all (tests).
         """
-        x1, real = self._training_latents(latents)
+        check_latents(latents, len(self.mask_latent), self.max_latents)
+        real = latents.mask
+        x1 = latents.values.detach() * real[:, :, None]
         batch, positions, channels = x1.shape
         if draws is None:
             rank, world = shard
@@ -231,18 +233,6 @@ class MaskedAutoregressive(nn.Module):
                 "call set_latent_range(minimum, maximum) before training, or sample with clip_latents=False"
             )
         return self.latent_min, self.latent_max
-
-    def _training_latents(self, latents: Latents) -> tuple[Float[Tensor, "b n c"], Bool[Tensor, "b n"]]:
-        if latents.values is None or latents.values.shape[2] != len(self.mask_latent):
-            found = "codes" if latents.values is None else f"values of {latents.values.shape[2]} channels"
-            raise ValueError(f"this generator trains on values of {len(self.mask_latent)} channels, not on {found}")
-        if latents.values.shape[1] > self.max_latents:
-            raise ValueError(
-                f"{latents.values.shape[1]} latents exceed max_latents={self.max_latents}; "
-                f"raise max_latents or crop the motion to {self.max_latents * self.downsample} frames"
-            )
-        real = latents.mask
-        return latents.values.detach() * real[:, :, None], real
 
     def _diffusion_loss(
         self, x1: Float[Tensor, "m c"], z: Float[Tensor, "m w"], time: Tensor, noise: Float[Tensor, "m k c"]

@@ -11,6 +11,7 @@ from torch import Tensor, distributed
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.masking import cosine_ratio, masked_count
+from kinema.types import Latents
 
 NOISE_SHARE = 0.1
 MASK_SHARE = 0.88
@@ -89,3 +90,13 @@ def mean_rows(count: int, world: int, device: torch.device) -> Tensor:
         distributed.all_reduce(rows)
         rows /= world
     return rows
+
+
+def check_latents(latents: Latents, channels: int, max_latents: int) -> None:
+    """Raise ValueError for codes, another number of channels or too many positions."""
+    values = latents.values
+    if values is None or values.shape[2] != channels:
+        found = "codes" if values is None else f"values of {values.shape[2]} channels"
+        raise ValueError(f"this generator was built for values of {channels} channels (latent_dim), not for {found}")
+    if values.shape[1] > max_latents:
+        raise ValueError(f"{values.shape[1]} latents exceed max_latents={max_latents}; raise it or crop the motions")
