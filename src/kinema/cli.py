@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--skeleton", default="humanml3d", help="skeleton of joints and synthetic (default humanml3d)")
     pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
     pack.add_argument("--processes", type=int, help="processes that extract features")
-    _add_settings(pack, "reader option, e.g. clips=400 of synthetic")
+    _add_settings(pack, "reader option, e.g. size=400 of synthetic")
     add("doctor", "check a corpus or a packed store").add_argument(
         "path", help="corpus folder, packed store or motion file"
     )

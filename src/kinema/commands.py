@@ -96,9 +96,10 @@ def prepare(options: argparse.Namespace) -> None:
     official = options.format in ("humanml3d", "kit")
     skeleton = options.format if official else options.skeleton
     module, _, function = READERS["official" if official else options.format].partition(":")
-    settings = options.set | ({"skeleton": skeleton} if official else {})
-    if options.source is None and options.format != "synthetic":
-        raise ValueError(f"--format {options.format} needs SOURCE, the corpus' folder")
+    settings = options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    if (options.source is None) != (options.format == "synthetic"):
+        needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
+        raise ValueError(f"--format {options.format} {needs}")
     source = [] if options.source is None else [options.source]
     catalog = getattr(importlib.import_module(module), function)(*source, **settings)
     path = write_store(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -17,6 +16,8 @@ from kinema.editing import edited_frames, kept_latents, resolve_ranges, stack_so
 from kinema.folders import load_part, new_folder, read_json, write_json
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
+from kinema.nn.mode import inference
+from kinema.requests import batches, check_length, frame_counts, paired, sample_seeds
 from kinema.text.encoders import FrozenTextEncoder, build_text_encoder, check_texts
 from kinema.types import Known, Latents, Motion, MotionBatch
 
@@ -35,10 +36,10 @@ class TextToMotion:
         length_estimator: nn.Module | None = None,
         meta: dict[str, Any] | None = None,
     ) -> None:
-        self.tokenizer = tokenizer.eval()
-        self.generator = generator.eval()
+        self.tokenizer = tokenizer
+        self.generator = generator
         self.text_encoder = text_encoder
-        self.length_estimator = length_estimator.eval() if length_estimator is not None else None
+        self.length_estimator = length_estimator
         self.meta = dict(meta or {})
 
     @property
@@ -61,10 +62,9 @@ class TextToMotion:
     def to(self, device: torch.device | str) -> TextToMotion:
         """Move the weights; text features follow them."""
         for module in self._modules():
-            module.to(device)
+            module.to(best_device(device))
         return self
 
-    @torch.no_grad()
     def generate(
         self,
         texts: str | Sequence[str],
@@ -83,17 +83,17 @@ class TextToMotion:
         texts = check_texts([texts] if isinstance(texts, str) else list(texts))
         options = self._sampling(sampling)
         seeds = sample_seeds(seed, len(texts))
-        counts = self._requested(frames, seconds, len(texts))
+        counts = self._lengths(frames, seconds, len(texts))
         motions = []
-        for part in _batches(len(texts), batch_size):
-            text = self.text_encoder(texts[part]).to(self.device)
-            drawn = torch.tensor(seeds[part])
-            wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts[part])
-            latents = self.generator.sample(text, self._whole(wanted), seeds=drawn, sampling=options)
-            motions += self._motions(self._decode(latents, wanted), texts[part], seeds[part])
+        with self._inference():
+            for part in batches(len(texts), batch_size):
+                text = self.text_encoder(texts[part]).to(self.device)
+                drawn = torch.tensor(seeds[part])
+                wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts[part])
+                latents = self.generator.sample(text, self._whole(wanted), seeds=drawn, sampling=options)
+                motions += self._motions(self._decode(latents, wanted), texts[part], seeds[part])
         return motions
 
-    @torch.no_grad()
     def edit(
         self,
         motions: Motion | Sequence[Motion],
@@ -110,15 +110,16 @@ class TextToMotion:
         Kept feature rows come back bit-equal; the root is integrated from the rows, so that what follows an edit
         moves on from where the edit ends. `paste=False` gives the raw decoding, which the papers' tables use.
         """
-        motions, texts = _paired(motions, texts)
+        motions, texts = paired(motions, texts)
         options = self._sampling(sampling)
         self._check_sources(motions)
         ranges = resolve_ranges(frames, [len(m.features) for m in motions])
         seeds = sample_seeds(seed, len(motions))
         edited = []
-        for part in _batches(len(motions), batch_size):
-            batch = self._edit_batch(motions[part], texts[part], ranges[part], seeds[part], options, paste)
-            edited += self._motions(batch, texts[part], seeds[part])
+        with self._inference():
+            for part in batches(len(motions), batch_size):
+                batch = self._edit_batch(motions[part], texts[part], ranges[part], seeds[part], options, paste)
+                edited += self._motions(batch, texts[part], seeds[part])
         return edited
 
     def _edit_batch(
@@ -162,26 +163,11 @@ class TextToMotion:
                 raise ValueError(f"unknown sampling field {name!r}; allowed: {', '.join(allowed)}")
         return replace(self.generator.sampling, **changes)
 
-    def _requested(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
-        if frames is not None and seconds is not None:
-            raise ValueError(f"got frames={frames} and seconds={seconds}; give one of them")
-        if frames is None and seconds is None:
-            if self.length_estimator is None:
-                raise ValueError("no length: give frames= or seconds=, or train the stage `length` of this method")
-            return None
-        asked = _spread(frames if seconds is None else seconds, size)
-        counts = [round(a * self.skeleton.fps) if seconds is not None else int(a) for a in asked]
-        for count in counts:
-            self._check_length(count)
+    def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
+        counts = frame_counts(frames, seconds, size, fps=self.skeleton.fps, maximum=self.max_frames)
+        if counts is None and self.length_estimator is None:
+            raise ValueError("no length: give frames= or seconds=, or the length= run of a length estimator")
         return counts
-
-    def _check_length(self, count: int) -> None:
-        if not 1 <= count <= self.max_frames:
-            fps = self.skeleton.fps
-            raise ValueError(
-                f"length {count} is out of range; allowed: 1 to {self.max_frames} frames "
-                f"({self.max_frames / fps:g} seconds at {fps:g} frames per second)"
-            )
 
     def _estimated(self, text: Any, seeds: Tensor) -> Tensor:
         # The published estimator knows a class 0 (MARDM §6); no motion has no frames.
@@ -197,10 +183,18 @@ class TextToMotion:
                     f"motion {i} has {motion.features.shape[1]} feature columns, this model ({representation.kind}) "
                     f"needs {representation.width}; extract them from its joints with kinema.motion.features.extract"
                 )
-            self._check_length(len(motion.features))
+            check_length(len(motion.features), self.max_frames, self.skeleton.fps)
 
     def _modules(self) -> list[nn.Module]:
         return [m for m in (self.tokenizer, self.generator, self.length_estimator) if m is not None]
+
+    @contextmanager
+    def _inference(self) -> Iterator[None]:
+        """Switch all parts to inference, and back: a model in training may be asked for samples."""
+        with ExitStack() as stack:
+            for module in self._modules():
+                stack.enter_context(inference(module))
+            yield
 
     @classmethod
     def from_run(
@@ -211,7 +205,7 @@ class TextToMotion:
         `length` is the run folder of a length estimator, if `upstream.json` names none. Raises FileNotFoundError or
         ValueError that name the part that is missing or unfit.
         """
-        folder, device = Path(path), device or best_device()
+        folder, device = Path(path), best_device(device)
         generator, meta = load_part(folder, device)
         if not hasattr(generator, "sample"):
             raise ValueError(f"{folder} holds a {type(generator).__name__}; give the run folder of a generator")
@@ -250,46 +244,17 @@ class TextToMotion:
         return path
 
 
-def best_device() -> torch.device:
-    """Choose cuda, else mps, else the CPU."""
-    if torch.cuda.is_available():
-        return torch.device("cuda")
-    return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
-
-
-def sample_seeds(seed: int | None, size: int) -> list[int]:
-    """Derive one seed per sample; the first is the seed itself (drawn if None), so that it alone repeats the list."""
-    seed = secrets.randbelow(2**31) if seed is None else seed
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed {seed} is out of range; allowed: 0 to 2**63 - 1")
-    rest = (np.random.SeedSequence([seed, i]).generate_state(1, np.uint64)[0] for i in range(1, size))
-    return [seed, *(int(s) >> 16 for s in rest)]
-
-
-def _batches(size: int, batch_size: int) -> Iterator[slice]:
-    if batch_size < 1:
-        raise ValueError(f"batch_size is {batch_size}; give at least 1")
-    return (slice(i, i + batch_size) for i in range(0, size, batch_size))
-
-
-def _spread(values: Any, size: int) -> list:
-    """Repeat one value, or check that there is one per text."""
-    values = [values] * size if isinstance(values, int | float) else list(values)
-    if len(values) != size:
-        raise ValueError(f"got {len(values)} lengths for {size} texts; give one, or one per text")
-    return values
-
-
-def _paired(motions: Motion | Sequence[Motion], texts: str | Sequence[str]) -> tuple[list[Motion], list[str]]:
-    """Give motions and texts of one length; a single one goes with all of the others."""
-    motions = [motions] if isinstance(motions, Motion) else list(motions)
-    texts = check_texts([texts] if isinstance(texts, str) else list(texts))
-    size = max(len(motions), len(texts))
-    motions = motions * size if len(motions) == 1 else motions
-    texts = texts * size if len(texts) == 1 else texts
-    if len(motions) != len(texts):
-        raise ValueError(f"got {len(motions)} motions and {len(texts)} texts; give one text, or one per motion")
-    return motions, texts
+def best_device(device: torch.device | str | None = None) -> torch.device:
+    """Choose cuda, else mps, else the CPU; or check that the one asked for is there."""
+    if device is None:
+        if torch.cuda.is_available():
+            return torch.device("cuda")
+        return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
+    try:
+        return torch.empty(0, device=device).device
+    except (RuntimeError, AssertionError) as error:  # torch built without CUDA asserts
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"device {str(device)!r} cannot be used here ({reason}); choose {best_device()}") from None
 
 
 def _spec(module: nn.Module) -> dict[str, Any]:

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from kinema.motion.recovery import recover_joints
-from kinema.pipeline import TextToMotion, best_device, sample_seeds
+from kinema.pipeline import TextToMotion, best_device
+from kinema.requests import sample_seeds
 
 TEXTS = ["a person walks", "a man jumps twice", "someone waves"]
 CLOSE = {"rtol": 1e-4, "atol": 1e-4}
@@ -95,6 +96,17 @@ def test_no_length_and_nothing_to_estimate_it(model):
     bare = TextToMotion(model.tokenizer, model.generator, model.text_encoder)
     with pytest.raises(ValueError, match="no length: give frames= or seconds="):
         bare.generate("a person walks")
+
+
+def test_a_model_in_training_stays_in_training(model):
+    expected = model.generate("a person walks", 20, seed=1)
+    model.tokenizer.train(), model.generator.train()
+    try:
+        same(model.generate("a person walks", 20, seed=1), expected)
+        assert model.tokenizer.training
+        assert model.generator.training
+    finally:
+        model.tokenizer.eval(), model.generator.eval()
 
 
 def test_a_device_is_chosen(model):

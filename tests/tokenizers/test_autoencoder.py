@@ -1,4 +1,4 @@
-"""A clip's latents and reconstruction are its own: padding and neighbours don't matter; losses read the right columns."""
+"""A clip's latents and reconstruction are its own, whatever pads it; the losses read the right columns."""
 
 from __future__ import annotations
 

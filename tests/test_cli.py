@@ -1,0 +1,187 @@
+"""The command line goes all the way: imported weights to a run folder, a run folder to files, one line per error."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from kinema import __version__, cli, interop
+from kinema.motion import export
+from kinema.motion.skeleton import HUMANML3D
+
+
+def published_autoencoder() -> dict[str, torch.Tensor]:
+    """Give a tiny MARDM autoencoder under its published names."""
+    generator, state = torch.Generator().manual_seed(0), {}
+
+    def conv(name, outputs, inputs, size):
+        state[f"{name}.weight"] = 0.2 * torch.randn(outputs, inputs, size, generator=generator)
+        state[f"{name}.bias"] = 0.2 * torch.randn(outputs, generator=generator)
+
+    def blocks(name):
+        for i in range(3):
+            conv(f"{name}.model.{i}.conv1", 8, 8, 3)
+            conv(f"{name}.model.{i}.conv2", 8, 8, 1)
+
+    conv("encoder.model.0", 8, 67, 3)
+    conv("decoder.model.0", 8, 6, 3)
+    for level in (2, 3):
+        conv(f"encoder.model.{level}.0", 8, 8, 4)
+        blocks(f"encoder.model.{level}.1")
+        blocks(f"decoder.model.{level}.0")
+        conv(f"decoder.model.{level}.2", 8, 8, 3)
+    conv("encoder.model.4", 6, 8, 3)
+    conv("decoder.model.4", 8, 8, 3)
+    conv("decoder.model.6", 67, 8, 3)
+    return state
+
+
+def published_generator() -> dict[str, torch.Tensor]:
+    """Give a tiny MARDM under its published names."""
+    from kinema.build import build
+    from kinema.interop.mardm import export as published
+
+    torch.manual_seed(0)
+    sizes = {
+        "latent_dim": 6,
+        "text_dim": 64,
+        "width": 16,
+        "feedforward": 32,
+        "heads": 2,
+        "mlp_width": 16,
+        "mlp_depth": 2,
+    }
+    mlp = {"mlp_width": 16, "mlp_depth": 2}
+    flow = {"_target_": "kinema.diffusion.flow.Flow"}
+    return published(build({"_target_": "kinema.generators.mar.MaskedAutoregressive", "process": flow, **sizes, **mlp}))
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Give the folder of an imported generator, with its imported autoencoder beside it."""
+    monkeypatch.chdir(tmp_path)
+    np.save("Mean.npy", np.zeros(67))
+    np.save("Std.npy", np.full(67, 0.1))
+    torch.save({"ae": published_autoencoder(), "ep": 50}, "ae.tar")
+    torch.save({"ema_mardm": published_generator(), "mardm": {}, "ep": 3}, "mardm.tar")
+    assert cli.main(["import", "mardm-ae", "ae.tar", "--out", "runs/ae", "--statistics", "."]) == 0
+    arguments = ["import", "mardm", "mardm.tar", "--out", "runs/mar", "--tokenizer", "runs/ae", "--text", "hashed"]
+    assert cli.main([*arguments, "--set", "variant=sit", "--set", "heads=2"]) == 0
+    return tmp_path / "runs" / "mar"
+
+
+FAST = ["--set", "steps=2", "--set", "solver=euler", "--set", "solver_steps=2"]
+
+
+def fails(capsys, arguments, *messages):
+    capsys.readouterr()
+    assert cli.main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+    for message in messages:
+        assert message in captured.err
+
+
+def test_generate_edit_and_look(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--seed", "3", *FAST]
+    assert cli.main([*make, "--seconds", "2", "--out", "walk.npz"]) == 0
+    assert "wrote walk.npz (40 frames, seed 3)" in capsys.readouterr().out
+    walk = export.load_npz("walk.npz")
+    assert walk.features.shape == (40, 67)
+    assert cli.main([*make, "--frames", "40", "--out", "walk.html"]) == 0
+    assert "a person walks" in Path("walk.html").read_text()
+    change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), "--seed", "4", *FAST]
+    for which in (["--regenerate", "0.5s:1s"], ["--keep", ":10,20:"]):
+        assert cli.main([*change, *which, "--out", "edited.npz"]) == 0
+        edited = export.load_npz("edited.npz")
+        assert edited.text == "someone sits"
+        assert np.array_equal(edited.features[:10], walk.features[:10])
+        assert np.array_equal(edited.features[20:], walk.features[20:])
+        assert np.abs(edited.features[10:20] - walk.features[10:20]).max() > 1e-3
+    capsys.readouterr()
+    assert cli.main(["info", str(run)]) == 0
+    described = json.loads(capsys.readouterr().out)
+    assert described["kinema"] == __version__
+    assert described["text"]["encoder"] == "hashed"
+    assert described["upstream"] == {"tokenizer": "../ae"}
+
+
+def test_several_texts_give_several_files_or_one_page(run):
+    make = ["generate", "a person walks", "a man bows", "--run", str(run), "--frames", "8", *FAST]
+    assert cli.main([*make, "--out", "all.html"]) == 0
+    assert cli.main([*make, "--out", "clip.npy"]) == 0
+    assert export.load_npy("clip-2.npy").shape == (8, 22, 3)
+
+
+def test_joints_can_be_edited(run):
+    from kinema.data.synthetic import synthetic_clips
+
+    joints = next(iter(synthetic_clips(size=1, seed=0))).joints()[:61]
+    np.save("captured.npy", joints.astype(np.float32))
+    change = ["edit", "--motion", "captured.npy", "--text", "someone sits", "--run", str(run), *FAST]
+    assert cli.main([*change, "--regenerate", "suffix", "--out", "edited.npz"]) == 0
+    edited = export.load_npz("edited.npz")
+    assert edited.joints.shape == (60, HUMANML3D.num_joints, 3)
+
+
+def test_prepare_gives_a_store_that_opens(tmp_path, capsys):
+    from kinema.data.store import PackedStore
+
+    out = str(tmp_path / "store")
+    for _ in range(2):
+        assert cli.main(["prepare", "--format", "synthetic", "--out", out, "--set", "size=12", "--processes", "1"]) == 0
+    store = PackedStore.open(out)
+    assert store.num_clips == 24
+    assert store.name == "synthetic"
+
+
+def test_errors_are_one_line_and_exit_with_2(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--out", "a.npz"]
+    fails(capsys, make, "no length: give frames= or seconds=")
+    fails(capsys, [*make, "--frames", "500"], "length 500 is out of range; allowed: 1 to 196")
+    fails(capsys, [*make, "--frames", "8", "--set", "step=2"], "unknown sampling field 'step'; allowed: steps")
+    fails(capsys, [*make, "--frames", "8", "--set", "steps"], "--set steps is no KEY=VALUE")
+    fails(capsys, [*make[:-1], "a.gif", "--frames", "8"], "--out a.gif has no known suffix; choose one of .html")
+    fails(capsys, ["generate", " ", "--run", str(run), "--out", "a.npz", "--frames", "8"], "text 0 is empty")
+    fails(capsys, ["generate", "x", "--run", "runs/none", "--out", "a.npz"], "no run folder at runs/none")
+    fails(capsys, ["generate", "x", "--run", "runs/ae", "--out", "a.npz"], "give the run folder of a generator")
+    fails(
+        capsys,
+        ["generate", "x", "--run", str(run), "--out", "a.npz", "--device", "nothing:0"],
+        "device 'nothing:0' cannot be used here",
+    )
+    change = ["edit", "--motion", "none.npz", "--text", "x", "--run", str(run), "--out", "a.npz", "--regenerate"]
+    fails(capsys, [*change, "0:4"], "no such file: none.npz")
+    fails(capsys, ["import", "mardm-ae", "none.tar", "--out", "runs/b"], "no checkpoint file at none.tar")
+    fails(capsys, ["import", "mardm", "mardm.tar", "--out", "runs/b"], "a mardm needs --tokenizer RUN")
+    again = ["import", "mardm", "mardm.tar", "--out", "runs/b", "--tokenizer", "runs/ae"]
+    fails(capsys, again, "'mardm' needs the option 'variant'")
+    fails(capsys, ["import", "mardm-ae", "ae.tar", "--out", "runs/ae"], "runs/ae exists; choose another folder")
+    fails(capsys, ["prepare", "--format", "joints", "--out", "store"], "--format joints needs SOURCE")
+    fails(capsys, ["prepare", "none", "--format", "joints", "--out", "store"], "corpus folder none does not exist")
+    fails(capsys, ["info", "runs/none"], "no weights at")
+    assert not (run.parent / "b").exists()
+    with pytest.raises(ValueError, match="no length"):
+        cli.main([*make, "--debug"])
+
+
+def test_an_autoencoder_without_statistics_says_so(run, capsys):
+    assert cli.main(["import", "mardm-ae", "ae.tar", "--out", "runs/bare"]) == 0
+    assert "import it with --statistics FOLDER" in capsys.readouterr().out
+
+
+def test_help_needs_no_torch():
+    code = "import sys; from kinema import cli\ntry: cli.main(['generate', '--help'])\nexcept SystemExit: pass\n"
+    code += "assert not {'torch', 'numpy', 'lightning'} & sys.modules.keys()"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False).returncode == 0
+
+
+def test_the_choices_are_those_that_exist():
+    assert set(cli.KINDS) == set(interop.KINDS)
