@@ -8,8 +8,12 @@ from kinema.data.synthetic.corpus import synthetic_catalog, synthetic_clips, syn
 from kinema.data.synthetic.folders import write_joints_folder, write_official_folder
 from kinema.data.synthetic.plan import ACTIONS
 
+VERSION = 1
+"""Raised when the same seed gives other clips, so that stores made before are not taken for them."""
+
 __all__ = [
     "ACTIONS",
+    "VERSION",
     "synthetic_catalog",
     "synthetic_clips",
     "synthetic_joints",

@@ -28,10 +28,10 @@ ADJ: straight left right alternating heavy hurt high high single drunk happy sad
 ADV: forward forwards backward backwards back ahead diagonally clockwise counterclockwise sideways then twice once first
  slowly quickly fast very happily cheerfully sadly tiredly angrily aggressively unsteadily proudly nervously fearfully
  playfully deeply slightly upward underhand overhand halfway almost still
-NOUN: person man figure human woman line place spot circle=circles circle zigzag curve arc side=sides side knee=knees knee
- leg foot hand=hands hand arm=arms arm head air step=steps step time=times time row turn degree=degrees dance music hip=hips
- floor ground chair stool seat fist=fists fist front body chest height box object ball cup bottle glass mouth sip=sips
- sip drink sky jack=jacks jack punch kick bow stretch lunge squat tiptoe=tiptoes toe=toes bat club golf baseball
+NOUN: person man figure human woman line place spot circle=circles circle zigzag curve arc side=sides side knee=knees
+ knee leg foot hand=hands hand arm=arms arm head air step=steps step time=times time row turn degree=degrees dance music
+ hip=hips floor ground chair stool seat fist=fists fist front body chest height box object ball cup bottle glass mouth
+ sip=sips sip drink sky jack=jacks jack punch kick bow stretch lunge squat tiptoe=tiptoes toe=toes bat club golf baseball
  forehead salute guitar hello pace child way crouch jump
 VERB: curve=curving crouch=crouching wave=waving lean=leaning bend=bending bend touch twist=twisting walk=walking
  stretch=stretched stretch raise=raised hold=held stand=standing pick rise jump=jumping cross=crossed strum=strumming
