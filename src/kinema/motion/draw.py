@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLOURS = {LEFT: "#2a6fe0", RIGHT: "#e2662a", 0: "#4a5365"}
-STAGE, GRID, INK, MUTED, SHADOW, ACCENT = "#f6f8fa", "#c9d1dc", "#1b2130", "#636d80", "#5a6478", "#2767d8"
+STAGE, GRID, INK, MUTED, SHADOW, ACCENT = "#f6f8fa", "#c9d1dc", "#1b2130", "#636d80", "#dce1e8", "#2767d8"
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def draw_pose(axes: Axes, pose: Float[np.ndarray, "j 3"], body: Body, camera: Ca
     points = camera.project(pose)
     unit = _points_per_metre(axes) * body.stature
     bones = [(joint, parent) for joint, parent in enumerate(body.parents) if parent >= 0]
-    _lines(axes, [shadow[[parent, joint]] for joint, parent in bones], at, SHADOW, 0.045 * unit, zorder=2, alpha=0.12)
+    _lines(axes, [shadow[[parent, joint]] for joint, parent in bones], at, SHADOW, 0.045 * unit, zorder=2)
     depths = {bone: float(points[list(bone), 2].mean()) for bone in bones}
     for order, (joint, parent) in enumerate(sorted(bones, key=depths.__getitem__, reverse=True)):
         side = body.sides[joint]

@@ -66,7 +66,7 @@ def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
     figure = new_figure(height * (right - left) / (high - low), height, dpi=200)
     axes = figure.add_axes((0, 0, 1, 1))
     _bare(axes, (left, right), (low, high))
-    axes.axhspan(low, -0.02 * body.stature, color="#e9edf2", zorder=0, lw=0)
+    axes.axhspan(low, 0.05 * body.stature, color="#ebeff3", zorder=0, lw=0)
     for frame, place, (_, pose, camera) in zip(frames, places, drawn, strict=True):
         draw_pose(axes, pose, body, camera, at=place)
         axes.text(place, low * 0.72, f"{frame / motion.fps:.1f} s", ha="center", va="center", color=MUTED, fontsize=8)
