@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -24,6 +26,17 @@ def golden(request, shared):
     return tensors, interop.load(
         "mardm-ae", {"ae": state, "ep": 50}, statistics=Statistics(np.zeros(width), np.ones(width))
     )
+
+
+@pytest.mark.parametrize(("name", "width"), [("AE t2m", 67), ("AE kit", 64)])
+def test_the_published_sizes_load(shared, name, width):
+    manifest = json.loads((shared / "golden" / "mardm" / "mardm_state_dict_manifest.json").read_text())
+    (shapes,) = (v for k, v in manifest.items() if k.startswith(name))
+    module = interop.load("mardm-ae", {"ae": {k: torch.zeros(shape) for k, shape in shapes.items()}})
+    assert module.representation.width == width
+    assert (module.latent_dim, module.downsample) == (512, 4)
+    if width == 67:
+        assert sum(p.numel() for p in module.parameters()) == 18_834_499
 
 
 def motion(x: torch.Tensor) -> MotionBatch:

@@ -78,20 +78,20 @@ def unwrap(content: Mapping[str, Any], wrappers: Sequence[str], *, several: bool
 
 
 def transfer(
-    model: dict[str, Any] | nn.Module,
+    spec: dict[str, Any],
     state: Mapping[str, Tensor],
     rules: Rules,
     *,
     kind: str,
     ours: Sequence[str] = ("representation.",),
 ) -> nn.Module:
-    """Load published tensors into a model under the names that the first matching rule gives them.
+    """Build `spec` and load published tensors into it under the names that the first matching rule gives them.
 
-    `model` is best the spec to build, which the module then keeps as `.spec`, so that it can be saved as an artifact.
-    `ours` are prefixes of our own entries that published files don't have. Raises ValueError that lists the unknown
-    keys, the missing ones and those of another shape (the first few of each).
+    The module keeps the spec as `.spec`, so that it can be saved as an artifact. `ours` are prefixes of our own
+    entries that published files don't have. Raises ValueError that lists the unknown keys, the missing ones and those
+    of another shape (the first few of each).
     """
-    module = build(model) if isinstance(model, dict) else model
+    module = build(spec)
     renamed, unknown = {}, []
     for key, value in state.items():
         rule = next(((p, to) for p, to in rules if re.fullmatch(p, key)), None)
@@ -113,8 +113,7 @@ def transfer(
         listed = "; ".join(f"{len(keys)} {what}: {_few(keys)}" for what, keys in problems.items() if keys)
         raise ValueError(f"this state dict is not that of a {kind!r}: {listed}")
     module.load_state_dict(renamed, strict=False)
-    if isinstance(model, dict):
-        module.spec = model
+    module.spec = spec
     return module
 
 

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from torch import nn
 
-from kinema.build import build
-from kinema.motion.representation import Representation
 from kinema.motion.skeleton import SKELETONS
 from kinema.motion.statistics import Statistics
 
@@ -36,12 +34,6 @@ def fit_statistics(module: nn.Module, statistics: Any) -> nn.Module:
     if statistics is not None:
         module.representation.fit(read_statistics(statistics))
     return module
-
-
-def published_representation(width: int, statistics: Any = None, *, variant: str | None = None) -> Representation:
-    """Make the representation of a published model, fitted if statistics are given."""
-    representation = build(representation_spec(width, variant=variant))
-    return representation if statistics is None else representation.fit(read_statistics(statistics))
 
 
 def read_statistics(source: Any) -> Statistics:
