@@ -18,6 +18,7 @@ from kinema.evaluation.metrics import (
     Reconstruction,
     Retrieval,
 )
+from kinema.evaluation.settings import EvaluationProtocol
 from kinema.motion.skeleton import Skeleton
 from kinema.types import MotionBatch
 
@@ -47,13 +48,12 @@ class Scores:
     """
 
     def __init__(
-        self, protocol: object, replication: int, skeleton: Skeleton, device: torch.device, part: bool = False
+        self, protocol: EvaluationProtocol, replication: int, skeleton: Skeleton, device: torch.device
     ) -> None:
         self.settings = (protocol, replication, skeleton, device)
-        self.part = part
         self.count = 0
-        # Parts are of this process' rows: ranks may know different values, and would wait for each other.
-        sync = {"sync_on_compute": not part}
+        # A replication is one process' work; one that alone evaluates within a group must not wait for the others.
+        sync = {"sync_on_compute": False}
         seed = protocol.seed * 1_000_003 + replication
         self.retrieval = Retrieval(protocol.pool, protocol.leftover, **sync)
         self.diversity = Diversity(protocol.diversity_pairs, seed, **sync)
@@ -69,7 +69,7 @@ class Scores:
 
     def empty(self) -> Scores:
         """Make scores for a part of the rows."""
-        return Scores(*self.settings, part=True)
+        return Scores(*self.settings)
 
     def update(self, seen: Observation, keep: Bool[Tensor, " b"] | None = None) -> None:
         """Add the rows of a batch (those to keep); retrieval is against their whole pools in any case."""
@@ -78,7 +78,7 @@ class Scores:
             seen = _subset(seen, keep)
         self.count += len(seen.index)
         if self.fid is None:
-            self.fid = FrechetDistance(seen.motion.shape[1], sync_on_compute=not self.part).to(self.device)
+            self.fid = FrechetDistance(seen.motion.shape[1], sync_on_compute=False).to(self.device)
         self.fid.update(seen.reference, seen.motion)
         self.diversity.update(seen.motion, seen.index)
         self.physical.update(seen.generated, seen.real)
@@ -92,7 +92,7 @@ class Scores:
         self.multimodality.update(embeddings)
 
     def compute(self) -> dict[str, float]:
-        """Give every metric by its key; `n` counts the rows of this process."""
+        """Give every metric by its key; `n` counts the rows."""
         out: dict[str, Tensor | float] = {"n": self.count}
         out |= self.retrieval.compute()
         if self.count > 1:

@@ -89,13 +89,13 @@ class NoiseLatents:
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Decode one noise sequence per row, of the real length."""
         lengths = batch.lengths // self.tokenizer.downsample
-        size, device = int(lengths.max()), batch.features.device
-        rows = [torch.randn(size, len(self.mean), generator=_generator(int(seed))) for seed in seeds]
-        values = torch.stack(rows).to(device) * self.std.to(device) + self.mean.to(device)
-        values = values * (torch.arange(size, device=device) < lengths[:, None])[..., None]
-        decoded = self.tokenizer.decode(
-            Latents(lengths=lengths, frames=lengths * self.tokenizer.downsample, values=values)
-        )
+        values = torch.zeros(len(lengths), int(lengths.max()), len(self.mean))
+        for row, length, seed in zip(values, lengths.tolist(), seeds.tolist(), strict=True):
+            # Drawn at its own length: a draw's values depend on its size.
+            noise = torch.randn(length, len(self.mean), generator=torch.Generator().manual_seed(seed))
+            row[:length] = noise * self.std.cpu() + self.mean.cpu()
+        frames = lengths * self.tokenizer.downsample
+        decoded = self.tokenizer.decode(Latents(lengths, frames, values.to(batch.features.device)))
         return answer(batch, decoded.features, decoded.lengths)
 
 
@@ -182,7 +182,3 @@ class Generated:
 def answer(prompt: MotionBatch, features: Float[Tensor, "b t w"], lengths: Int[Tensor, " b"]) -> MotionBatch:
     """Put motions in the place of a batch's; captions and names stay."""
     return replace(prompt, features=features, lengths=lengths)
-
-
-def _generator(seed: int) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)

@@ -170,8 +170,8 @@ class MatchingEvaluator(TextMotionEvaluator):
         mine, theirs = self.representation.identity(), stage.representation.identity()
         if mine != theirs or self.drop_contacts != stage.drop_contacts:
             raise ValueError(
-                f"the movement encoder was pre-trained on {theirs} (drop_contacts={stage.drop_contacts}), this evaluator "
-                f"reads {mine} (drop_contacts={self.drop_contacts}); train the decomposition stage anew"
+                f"the movement encoder was pre-trained on {theirs} (drop_contacts={stage.drop_contacts}), this "
+                f"evaluator reads {mine} (drop_contacts={self.drop_contacts}); train the decomposition stage anew"
             )
         self.movement_encoder.load_state_dict(stage.movement_encoder.state_dict())
         return self

@@ -1,0 +1,215 @@
+"""One replication: right numbers for known sources, repeatable, cached, and clear when it fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from kinema.evaluation.metrics import FrechetDistance, Retrieval
+from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication, sample_seeds
+from kinema.evaluation.sources import RealMotion, ShuffledCaptions, answer
+
+SMALL = EvaluationProtocol(pool=8, mm_texts=12, mm_repeats=5, mm_pairs=2, diversity_pairs=20)
+
+
+class Noisy:
+    """Answer with the real motion plus noise by seed; counts its calls."""
+
+    label, multimodal, reconstructs = "noisy", True, True
+
+    def __init__(self, scale=0.05):
+        self.scale, self.calls = scale, 0
+
+    def __call__(self, batch, seeds):
+        self.calls += len(seeds)
+        rows = []
+        for row, seed in zip(batch.features, seeds.tolist(), strict=True):
+            noise = torch.randn(len(row), 67, generator=torch.Generator().manual_seed(seed))
+            rows.append(row[:, :67] + self.scale * noise)
+        return answer(batch, torch.stack(rows) * batch.mask[..., None], batch.lengths)
+
+
+def batches(make, count=4, size=8):
+    return [make.batch(size=size, seed=seed) for seed in range(count)]
+
+
+def run(make, source, protocol=SMALL, work=None, **options):
+    work = batches(make) if work is None else work
+    return evaluate_replication(source, work, make.matching(), make.contrastive(), protocol, **options)
+
+
+def test_every_metric_has_its_key(make):
+    found = run(make, Noisy()).metrics
+    physical = {"foot_skating", "jitter", "real_foot_skating", "real_jitter", "turn_ratio", "root_speed_ratio"}
+    text = {"r1", "r2", "r3", "matching", "fid", "diversity", "multimodality", "clip_score"}
+    paired = {"mpjpe_mm", "mpjpe_heading_mm", "heading_error_deg"}
+    assert set(found) == physical | text | paired | {"n"}
+    assert found["n"] == 32
+    assert all(np.isfinite(v) for v in found.values())
+    real = run(make, RealMotion()).metrics
+    assert set(real) == set(found) - paired - {"multimodality"}
+    assert real["fid"] < 1e-6
+    assert real["root_speed_ratio"] == real["turn_ratio"] == 1
+    assert real["jitter"] == real["real_jitter"]
+
+
+def test_numbers_are_those_of_the_metrics_on_plain_embeddings(make):
+    source, model = Noisy(), make.matching().eval()
+    retrieval, fid, first = Retrieval(8), FrechetDistance(8), 0
+    for real in batches(make):
+        made = source(real, sample_seeds(0, 3, first, 8))
+        retrieval.update(model.embed_text(real.captions), model.embed_motion(made))
+        fid.update(model.embed_motion(real), model.embed_motion(made))
+        first += 8
+    expected = retrieval.compute() | {"fid": fid.compute()}
+    found = run(make, Noisy(), replication=3).metrics
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value.item(), rel=1e-5)
+
+
+def test_shuffled_captions_keep_the_fid_and_lose_the_text(make):
+    work = [make.batch(size=32, seed=seed) for seed in range(30)]
+    codes = {c.text: f for b in work for c, f in zip(b.captions, b.features[:, 0, :8], strict=True)}
+    protocol, blind, knowing = replace(SMALL, pool=32), make.matching(), make.matching()
+    knowing.embed_motion = lambda batch: batch.features[:, 0, :8]
+    knowing.embed_text = lambda captions: torch.stack([codes[c.text] for c in captions])
+    assert evaluate_replication(RealMotion(), work, knowing, protocol=protocol).metrics["r1"] == 1
+    for model, hits in ((blind, (1, 2, 3)), (knowing, (0, 1, 2))):
+        found = evaluate_replication(ShuffledCaptions(), work, model, protocol=protocol).metrics
+        assert found["fid"] < 1e-6
+        for k, count in enumerate(hits, start=1):
+            # An untrained judge hits by chance; one that knows every clip ranks the right one before the given one.
+            assert abs(found[f"r{k}"] - count / 32) < 3 * (count / 32 / (30 * 32)) ** 0.5 + 0.002
+
+
+def test_multimodality_leaves_the_other_metrics_alone(make):
+    source, without = Noisy(), Noisy()
+    full = run(make, source).metrics
+    short = run(make, without, replace(SMALL, mm_texts=0)).metrics
+    assert {k: v for k, v in full.items() if k != "multimodality"} == short
+    # 12 captions are answered 5 times, the others once.
+    assert (source.calls, without.calls) == (32 + 12 * 4, 32)
+    wider = run(make, Noisy(0.2)).metrics
+    assert wider["multimodality"] > 1.5 * full["multimodality"]
+
+
+def test_replications_differ_and_repeat_exactly(make):
+    one, again, other = (run(make, Noisy(), replication=r).metrics for r in (0, 0, 1))
+    assert one == again
+    assert one["mpjpe_mm"] != other["mpjpe_mm"]
+    seeds = torch.cat([sample_seeds(0, r, first, 8, k) for r in (0, 1) for first in (0, 8) for k in (0, 1)])
+    assert len(set(seeds.tolist())) == 64
+    assert torch.equal(sample_seeds(0, 1, 4, 2), sample_seeds(0, 1, 0, 6)[4:])
+
+
+@pytest.mark.parametrize(("leftover", "counted", "rows"), [("drop", 16, 16), ("keep", 19, 19), ("mld", 16, 19)])
+def test_leftover_rows(make, leftover, counted, rows):
+    work = [make.batch(seed=0), make.batch(seed=1), make.batch(size=3, seed=2)]
+    found = run(make, RealMotion(), replace(SMALL, leftover=leftover), work)
+    assert found.metrics["n"] == rows
+    hits = found.metrics["r1"] * counted
+    assert hits == pytest.approx(round(hits), abs=1e-4)
+    with pytest.raises(ValueError, match="no batch holds a whole pool of 8"):
+        run(make, RealMotion(), SMALL, work[2:])
+
+
+def test_breakdowns_partition_the_rows(make):
+    def fields(batch):
+        return {"source": ["a" if i % 4 == 0 else "b" for i in batch.entries.tolist()]}
+
+    found = run(make, Noisy(), fields=fields)
+    parts = found.breakdowns["source"]
+    assert {k: v["n"] for k, v in parts.items()} == {"a": 8, "b": 24}
+    for name in ("r1", "r3", "matching", "clip_score", "foot_skating"):
+        mean = sum(p[name] * p["n"] for p in parts.values()) / 32
+        assert mean == pytest.approx(found.metrics[name], rel=1e-5)
+    assert parts["a"]["fid"] != parts["b"]["fid"]
+
+
+def test_samples_show_the_first_answers(make):
+    found = run(make, Noisy(), watch=3)
+    assert found.samples.texts == found.references.texts == batches(make)[0].texts[:3]
+    assert found.samples.features.shape[-1] == 67
+    assert not torch.equal(found.samples.features, found.references.features[..., :67])
+
+
+class Counting:
+    """Count what a model embeds."""
+
+    def __init__(self, model):
+        self.model, self.motions, self.texts = model, 0, 0
+        self.embed_motion, self.embed_text = model.embed_motion, model.embed_text
+        model.embed_motion, model.embed_text = self.count_motion, self.count_text
+
+    def count_motion(self, batch):
+        self.motions += len(batch.lengths)
+        return self.embed_motion(batch)
+
+    def count_text(self, captions):
+        self.texts += len(captions)
+        return self.embed_text(captions)
+
+
+def test_real_motion_and_captions_are_embedded_once_for_all_sources(make, tmp_path):
+    cache, model = EmbeddingCache(tmp_path, corpus="c0"), make.matching()
+    count = Counting(model)
+    work = batches(make)
+    first = evaluate_replication(Noisy(), work, model, protocol=SMALL, cache=cache).metrics
+    assert (count.motions, count.texts) == (32 + 32 + 48, 32)
+    again = evaluate_replication(Noisy(), work, model, protocol=SMALL, cache=cache).metrics
+    assert again == first
+    assert (count.motions, count.texts) == (112 + 80, 32)
+    evaluate_replication(RealMotion(), work, model, protocol=SMALL, cache=cache)
+    assert (count.motions, count.texts) == (192, 32)
+    # Other crops of the same corpus under the same name are computed, not served.
+    moved = [replace(b, features=b.features * 1.01) for b in work]
+    evaluate_replication(RealMotion(), moved, model, protocol=SMALL, cache=cache)
+    assert (count.motions, count.texts) == (224, 32)
+    with torch.no_grad():
+        model.motion_encoder.hidden.add_(1)
+    evaluate_replication(RealMotion(), work, model, protocol=SMALL, cache=cache)
+    assert (count.motions, count.texts) == (256, 64)
+    files = sorted(p for p in tmp_path.rglob("*") if p.is_file())
+    assert [p.name for p in files] == ["c0-s0-r000.npz"] * 2
+    for path in files:
+        path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"c0-s0-r000\.npz is damaged"):
+        evaluate_replication(RealMotion(), work, model, protocol=SMALL, cache=cache)
+
+
+@pytest.mark.parametrize("where", ["real", "generated"])
+def test_a_clip_that_is_not_finite_is_named(make, where):
+    work = batches(make)
+
+    class Broken(Noisy):
+        def __call__(self, batch, seeds):
+            found = super().__call__(batch, seeds)
+            if "clip1-005" in batch.clip_ids:
+                found.features[batch.clip_ids.index("clip1-005"), 0, 9] = float("nan")
+            return found
+
+    if where == "real":
+        work[1].features[5, 0, 9] = float("inf")
+    with pytest.raises(ValueError, match="clip1-005 hold NaN or infinity"):
+        run(make, Broken() if where == "generated" else RealMotion(), work=work)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"leftover": "pad"}, r"leftover='pad'; allowed: drop, keep, mld"),
+        ({"pool": 1}, r"protocol\.pool=1; it must be at least 2"),
+        ({"mm_repeats": 10}, r"mm_repeats=10 must be greater than mm_pairs=10"),
+        ({"max_batches": 0}, r"max_batches=0"),
+    ],
+)
+def test_a_protocol_that_cannot_be_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        EvaluationProtocol(**change)
+
+
+def test_a_short_protocol_stops_early(make):
+    assert run(make, RealMotion(), replace(SMALL, max_batches=2)).metrics["n"] == 16

@@ -1,0 +1,144 @@
+"""Sources answer the captions they are given, in order, and each row by its own seed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from kinema.evaluation.sources import (
+    Generated,
+    NearestTrainingCaption,
+    NoiseLatents,
+    RealMotion,
+    Reconstruction,
+    ShuffledCaptions,
+)
+from kinema.types import Latents, MotionBatch, TextFeatures, frame_mask
+
+
+class Halves(torch.nn.Module):
+    """Tokenize by keeping every fourth frame of the essential columns."""
+
+    downsample = 4
+
+    def encode(self, batch):
+        lengths = batch.lengths // 4
+        return Latents(lengths, lengths * 4, batch.features[:, ::4, :67])
+
+    def decode(self, latents):
+        features = latents.values.repeat_interleave(4, 1)
+        features = features * frame_mask(latents.frames, features.shape[1])[..., None]
+        return MotionBatch(features, latents.frames)
+
+
+class Echo(torch.nn.Module):
+    """Generate each row from its text feature and seed."""
+
+    def sample(self, text, frames, *, seeds, known=None, sampling=None):
+        frames = torch.full_like(seeds, 12) if frames is None else frames
+        values = torch.zeros(len(frames), int(frames.max()) // 4, 67)
+        values += text.pooled[:, :1, None] * sampling + seeds[:, None, None]
+        return Latents(frames // 4, frames, values)
+
+
+def letters(texts):
+    """Count letters: equal texts are nearest to each other."""
+    counts = [[t.count(c) + 1e-3 for c in "abcdefghijklmnopqrstuvwxyz"] for t in texts]
+    return TextFeatures(texts, torch.tensor(counts))
+
+
+def seeds(size):
+    return torch.arange(size) + 5
+
+
+SOURCES = {
+    "real": lambda: RealMotion(),
+    "shuffled": lambda: ShuffledCaptions(),
+    "reconstruction": lambda: Reconstruction(Halves()),
+    "noise": lambda: NoiseLatents(Halves(), torch.zeros(67), torch.ones(67)),
+    "generated": lambda: Generated(Echo(), Halves(), letters, sampling=2.0),
+}
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_answers_keep_captions_and_are_zero_past_their_lengths(make, name):
+    source, batch = SOURCES[name](), make.batch()
+    found = source(batch, seeds(8))
+    assert (found.captions, found.clip_ids) == (batch.captions, batch.clip_ids)
+    assert not found.features[~found.mask].any()
+    assert sorted(found.lengths.tolist()) == sorted(batch.lengths.tolist())
+    assert torch.equal(found.features, SOURCES[name]()(batch, seeds(8)).features)
+
+
+@pytest.mark.parametrize("name", ["noise", "generated"])
+def test_a_row_depends_on_its_own_seed_only(make, name):
+    source, batch = SOURCES[name](), make.batch(lengths=[40, 12, 8, 40, 20, 16, 4, 32])
+    whole = source(batch, seeds(8))
+    rows = torch.tensor([6, 1])
+    some = MotionBatch(batch.features[rows], batch.lengths[rows], captions=[batch.captions[i] for i in rows])
+    part = source(some, seeds(8)[rows])
+    for i, row in enumerate(rows.tolist()):
+        length = int(batch.lengths[row])
+        torch.testing.assert_close(part.features[i, :length], whole.features[row, :length])
+    other = source(batch, seeds(8) + 100)
+    assert (other.features != whole.features).any(-1)[whole.mask].all()
+
+
+def test_shuffled_captions_never_meet_their_own_motion(make):
+    batch = make.batch()
+    batch.features[:, 0, 0] = torch.arange(8.0)
+    for seed in range(20):
+        found = ShuffledCaptions()(batch, torch.full((8,), seed))
+        dealt = found.features[:, 0, 0].int().tolist()
+        assert sorted(dealt) == list(range(8))
+        assert all(motion != row for row, motion in enumerate(dealt))
+        assert torch.equal(found.lengths, batch.lengths[dealt])
+    with pytest.raises(ValueError, match="batch of 1"):
+        ShuffledCaptions()(make.batch(size=1), seeds(1))
+
+
+class Store:
+    """Hold a few training clips."""
+
+    def __init__(self, make):
+        self.clips = [np.full((frames, 263), i + 1, np.float32) for i, frames in enumerate((43, 9, 30))]
+        self.captions = [[make.caption(7), make.caption(3)], [make.caption(1)], []]
+
+    def entry_captions(self, entry):
+        return self.captions[entry]
+
+    def frames_of(self, entry):
+        return self.clips[entry]
+
+
+def test_the_nearest_training_caption_gives_its_clip(make):
+    source = NearestTrainingCaption(Store(make), np.arange(3), letters)
+    batch = make.batch(size=4, lengths=[40, 40, 12, 4])
+    batch.captions = [make.caption(i) for i in (3, 1, 7, 1)]
+    found = source(batch, seeds(4))
+    assert found.lengths.tolist() == [40, 8, 12, 4]
+    assert [set(f[:n].flatten().tolist()) for f, n in zip(found.features, found.lengths, strict=True)] == [
+        {1.0},
+        {2.0},
+        {1.0},
+        {2.0},
+    ]
+    assert not found.features[~found.mask].any()
+    with pytest.raises(ValueError, match="none of the training entries has a caption"):
+        NearestTrainingCaption(Store(make), [2], letters)
+
+
+def test_lengths_are_real_estimated_or_the_generators_own(make):
+    class Estimator(torch.nn.Module):
+        def predict(self, text, seeds):
+            return torch.full_like(seeds, 20)
+
+    batch = make.batch()
+    options = {"sampling": 2.0, "lengths": "predicted"}
+    estimated = Generated(Echo(), Halves(), letters, length_estimator=Estimator(), **options)(batch, seeds(8))
+    own = Generated(Echo(), Halves(), letters, **options)(batch, seeds(8))
+    assert set(estimated.lengths.tolist()) == {20}
+    assert set(own.lengths.tolist()) == {12}
+    with pytest.raises(ValueError, match="allowed: real, predicted"):
+        Generated(Echo(), Halves(), letters, lengths="guess")
