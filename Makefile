@@ -8,8 +8,6 @@ LAUNCHER ?= none
 ARGS   ?=
 PY     := $(VENV)/bin/python
 STAMP  := $(VENV)/.installed
-# Idle OpenMP threads that spin slow a busy machine down (DESIGN.md §7).
-export OMP_WAIT_POLICY ?= passive
 
 .PHONY: install test lint bench demo doctor reproduce-all clean-reports
 install: $(STAMP)

@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 from torch import nn
 
 from kinema import artifacts
+from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.experiments.stages import Stage
 from kinema.text.cache import CachedTextEncoder
@@ -24,7 +25,8 @@ def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
     if "sampling" in node:
         spec["sampling"] = node["sampling"]
     if stage.name == "contrastive":
-        spec |= token_sizes(cfg)
+        table = clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
+        spec["token_width"] = table.embedding.shape[1]
     return spec
 
 
@@ -37,13 +39,15 @@ def read_model(run: Path) -> tuple[nn.Module, dict[str, Any]]:
 def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:
     """Give the method's frozen text encoder behind its on-disk cache."""
     encoder = build_text_encoder(cfg.text.name, path=cfg.text.path, device=device)
-    return CachedTextEncoder(encoder, Path(cfg.paths.cache) / "text")
+    tokens = "float32" if cfg.generator.reads_tokens else None
+    return CachedTextEncoder(encoder, Path(cfg.paths.cache) / "text", tokens=tokens)
 
 
-def token_sizes(cfg: DictConfig) -> dict[str, Any]:
-    """Give the sizes of the CLIP-style evaluator that its token table decides."""
-    table = clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
-    return {"vocabulary": table.embedding.shape[0], "token_width": table.embedding.shape[1], "context": table.context}
+def encode_captions(text: CachedTextEncoder, store: PackedStore, *splits: str) -> CachedTextEncoder:
+    """Fill the cache with all captions of the splits, in an order that no interruption changes."""
+    entries = [int(e) for split in splits for e in store.split_entries(split)]
+    text.ensure(sorted({caption.text for entry in entries for caption in store.entry_captions(entry)}))
+    return text
 
 
 def attach_text(cfg: DictConfig, stage: Stage, model: nn.Module) -> str:

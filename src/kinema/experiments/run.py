@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus
 from kinema.experiments.identity import fingerprint, stage_identity
-from kinema.experiments.runs import RunFolder, console, versions, write_json
+from kinema.experiments.runs import RunFolder, console, global_rank, versions, write_json
 from kinema.experiments.stages import STAGES, Stage, label
 
 
@@ -48,11 +48,22 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
                 f"`{command(cfg, STAGES[needed])}` or set ensure=true"
             )
         upstream[needed] = run_stage(cfg, needed, quiet=True)
+    if global_rank() > 0:
+        return _follow(cfg, stage, store, folder, upstream)
     with folder.lock():
         if folder.done:
             console.print(f"cached    {folder.path}")
             return folder
         _train(cfg, stage, store, folder, upstream)
+    return folder
+
+
+def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> RunFolder:
+    """Train along on another rank: rank 0 holds the lock and writes everything."""
+    from kinema.experiments.training import train_stage
+
+    if not folder.done:
+        train_stage(cfg, stage, store, folder, upstream)
     return folder
 
 

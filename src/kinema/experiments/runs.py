@@ -69,6 +69,14 @@ class RunFolder:
             yield
 
 
+def global_rank() -> int:
+    """Give this process' rank as torchrun, Slurm or Lightning's launcher set it; 0 where nothing did."""
+    for name in ("RANK", "SLURM_PROCID", "LOCAL_RANK"):
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return 0
+
+
 def versions() -> dict[str, str]:
     """Name what computed a result: packages, Python and the revision of the checkout."""
     found = {"python": platform.python_version()}

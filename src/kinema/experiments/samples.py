@@ -11,7 +11,7 @@ from torch import nn
 
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
-from kinema.motion.export import save_html
+from kinema.motion.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.text.cache import CachedTextEncoder
 

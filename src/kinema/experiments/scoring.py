@@ -11,14 +11,14 @@ from omegaconf import DictConfig
 
 from kinema.build import build
 from kinema.data.datamodule import MotionDataModule
-from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.evaluation import sources
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
-from kinema.experiments.instantiate import attach_text, read_model, text_encoder
+from kinema.experiments.instantiate import attach_text, encode_captions, read_model, text_encoder
 from kinema.experiments.stages import STAGES
 from kinema.motion.recovery import recover_joints
+from kinema.text.cache import CachedTextEncoder
 from kinema.training.fit import devices_available
 from kinema.types import MotionBatch
 
@@ -38,15 +38,14 @@ class Scorer:
         judges = {name: read_model(runs[name])[0].to(self.device) for name in ("matching", "contrastive")}
         words = {name: attach_text(cfg, STAGES[name], model) for name, model in judges.items()}
         self.matching, self.contrastive = judges["matching"], judges["contrastive"]
-        names = "-".join(runs[name].name[-12:] for name in judges)
-        self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real" / f"{self.store.manifest['hash']}-{names}")
+        self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.source = self._source(runs)
         self.seen = self._labels_seen()
         sampling = plain(cfg.generator.sampling) if cfg.source == "generation" else None
         self.provenance = {
             "source": cfg.source,
             "runs": {k: v.name for k, v in sorted(runs.items())},
-            "corpus": {"name": self.store.manifest["name"], "hash": self.store.manifest["hash"]},
+            "corpus": {"name": self.store.name, "hash": self.store.hash},
             "statistics": {
                 "corpus": self.store.statistics.digest(),
                 "evaluator": self.matching.representation.identity(),
@@ -98,21 +97,22 @@ class Scorer:
         if name == "shuffled":
             return sources.ShuffledCaptions()
         if name == "nearest":
-            train = ClipDataset(self.store, "train")
-            return sources.NearestTrainingCaption(self.store, train.entries, text_encoder(cfg, self.device))
+            return sources.NearestTrainingCaption.from_store(self.store, self._text("train", self.protocol.split))
         if name == "generation":
             from kinema.pipeline import TextToMotion
 
-            # Text features come through the cache: no caption is encoded twice, not over twenty replications.
             pipeline = TextToMotion.from_run(runs["generator"], device=self.device)
             sampling = build(plain(cfg.generator.sampling))
-            return sources.Generated(
-                pipeline.generator, pipeline.tokenizer, text_encoder(cfg, self.device), sampling=sampling
-            )
+            text = self._text(self.protocol.split)
+            return sources.Generated(pipeline.generator, pipeline.tokenizer, text, sampling=sampling)
         tokenizer = read_model(runs["tokenizer"])[0].to(self.device)
         if name == "reconstruction":
             return sources.Reconstruction(tokenizer)
         return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))
+
+    def _text(self, *splits: str) -> CachedTextEncoder:
+        """Give the cached text encoder: no caption is encoded twice, not over twenty replications."""
+        return encode_captions(text_encoder(self.cfg, self.device), self.store, *splits)
 
     @torch.no_grad()
     def _latent_statistics(self, tokenizer: Any, batches: int = 16) -> tuple[torch.Tensor, torch.Tensor]:

@@ -16,9 +16,9 @@ from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
-from kinema.experiments.instantiate import attach_text, model_spec, read_model, text_encoder
+from kinema.experiments.instantiate import attach_text, encode_captions, model_spec, read_model, text_encoder
 from kinema.experiments.loggers import loggers
-from kinema.experiments.runs import RunFolder, write_json
+from kinema.experiments.runs import RunFolder, global_rank, write_json
 from kinema.experiments.samples import sample_drawer
 from kinema.experiments.stages import Stage
 from kinema.motion.representation import Representation
@@ -60,6 +60,15 @@ def train_stage(
     machine = Machine(**plain(cfg.trainer))
     with loggers(cfg, folder) as attached:
         fitted = fit(module, data, folder.path, machine, callbacks=extra, loggers=attached)
+    summary = {
+        "seconds": round(fitted.seconds, 1),
+        "step": fitted.step,
+        "val_loss": fitted.val_loss,
+        "parameters": sum(p.numel() for p in model.parameters() if p.requires_grad),
+        "device": _device(cfg),
+    }
+    if global_rank() > 0:
+        return summary
     model.load_state_dict(fitted.weights)
     meta = {"stage": stage.name, "label": folder.path.name, "corpus": store.manifest["hash"], "step": fitted.step}
     if stage.name in ("generator", "length"):
@@ -67,13 +76,7 @@ def train_stage(
         meta["text"] = module.text.value.identity
     artifacts.save(model, spec, folder.weights, **meta)
     (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
-    return {
-        "seconds": round(fitted.seconds, 1),
-        "step": fitted.step,
-        "val_loss": fitted.val_loss,
-        "parameters": sum(p.numel() for p in model.parameters() if p.requires_grad),
-        "device": devices_available() if cfg.trainer.accelerator == "auto" else cfg.trainer.accelerator,
-    }
+    return summary
 
 
 def make_recipe(train: dict[str, Any], store: Path, debug_steps: int | None = None) -> Recipe:
@@ -107,7 +110,7 @@ def make_module(
         if "decomposition" in upstream:
             model.load_movement(read_model(upstream["decomposition"].path)[0])
         return EvaluatorModule(model, recipe, cfg.seed)
-    text = text_encoder(cfg)
+    text = encode_captions(text_encoder(cfg, _device(cfg)), store, "train", "val")
     latents: Any = crop_frames
     if stage.name == "generator":
         tokenizer, _ = read_model(upstream["tokenizer"].path)

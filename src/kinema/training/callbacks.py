@@ -68,15 +68,29 @@ class BestWeights(Callback):
 
 
 class Checkpoints(Callback):
-    """Save `last.ckpt` every few steps (it must stand after the callbacks whose state it holds)."""
+    """Save `last.ckpt` every few steps (it must stand after the callbacks whose state it holds).
 
-    def __init__(self, path: Path, every: int) -> None:
+    At a step that is validated it waits for the validation: a run that dies in between validates again, so that its
+    selection of weights is that of an uninterrupted run.
+    """
+
+    def __init__(self, path: Path, every: int, validated_every: int) -> None:
         self.path = path
         self.every = every
+        self.validated_every = validated_every
 
     def on_train_batch_end(self, trainer: Trainer, *_: Any) -> None:
         """Save if it is time."""
-        if trainer.global_step % self.every == 0 and trainer.global_step < trainer.max_steps:
+        if trainer.global_step % self.every == 0 and trainer.global_step % self.validated_every:
+            self._save(trainer)
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Save what the validation selected."""
+        if not trainer.sanity_checking:
+            self._save(trainer)
+
+    def _save(self, trainer: Trainer) -> None:
+        if trainer.global_step < trainer.max_steps:
             trainer.save_checkpoint(self.path)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,8 +54,11 @@ def fit(
 ) -> Fitted:
     """Train to the recipe's number of steps, resuming from `folder/checkpoints/last.ckpt` where that exists."""
     recipe = module.recipe
+    # Lightning's notes on devices and its advertisement would bury what the run says itself.
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     best, record = BestWeights(), RunRecord(folder / "metrics.jsonl", machine.log_every)
     last = folder / "checkpoints" / "last.ckpt"
+    saver = Checkpoints(last, recipe.checkpoint_every, recipe.validate_every)
     averaging = [EMA(recipe.ema, recipe.ema_warmup)] if recipe.ema else []
     bars = {"rich": [RichProgressBar()], "tqdm": [TQDMProgressBar()], "none": []}[machine.progress]
     trainer = Trainer(
@@ -71,7 +75,7 @@ def fit(
         num_sanity_val_steps=0,
         log_every_n_steps=machine.log_every,
         logger=loggers or False,
-        callbacks=[*averaging, best, record, *(callbacks or []), *bars, Checkpoints(last, recipe.checkpoint_every)],
+        callbacks=[*averaging, best, record, *(callbacks or []), *bars, saver],
         plugins=[AtomicCheckpointIO()],
         enable_checkpointing=False,
         enable_progress_bar=bool(bars),
@@ -84,7 +88,7 @@ def fit(
         module.compile_loss()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*does not have many workers.*")
-        warnings.filterwarnings("ignore", message=".*mid-epoch.*|.*not stateful.*|.*resumable.*")
+        warnings.filterwarnings("ignore", message=".*mid-epoch.*|.*not stateful.*|.*resumable.*|.*LeafSpec.*|.*in eval mode.*|.*logging interval.*")
         trainer.fit(module, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
     if trainer.interrupted or trainer.global_step < recipe.steps:
         raise InterruptedError(f"training stopped at step {trainer.global_step} of {recipe.steps}; run again to resume")

@@ -1,0 +1,51 @@
+"""Check the learning-rate schedules against the published loops, and the refusal of wrong values."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from kinema.training.recipe import Recipe
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("key", "counted", "gamma"),
+    [("lr_ae_warm20_milestone30", "warmup_end", 0.05), ("lr_mardm_warm20_milestone30", "start", 0.1)],
+)
+def test_schedule_is_the_published_one(shared: Path, key: str, counted: str, gamma: float):
+    golden = load_file(shared / "golden" / "mardm" / "mardm_schedules.safetensors")[key]
+    recipe = Recipe(100, 1, warmup=20, milestones=(30,), milestones_from=counted, gamma=gamma)
+    ours = torch.tensor([recipe.lr * recipe.factor(step) for step in range(len(golden))], dtype=torch.float64)
+    torch.testing.assert_close(ours, golden, rtol=1e-6, atol=0)
+
+
+@pytest.mark.shared
+def test_warmup_of_two_thousand_steps(shared: Path):
+    golden = load_file(shared / "golden" / "mardm" / "mardm_schedules.safetensors")["lr_warmup_2000_first5"]
+    recipe = Recipe(5000, 1, warmup=2000)
+    ours = [recipe.lr * recipe.factor(step) for step in range(5)]
+    torch.testing.assert_close(torch.tensor(ours, dtype=torch.float64), golden, rtol=1e-6, atol=0)
+
+
+def test_cosine_decay_ends_at_a_hundredth():
+    recipe = Recipe(200, 1, warmup=10, decay="cosine")
+    factors = [recipe.factor(step) for step in range(201)]
+    assert factors[0] < factors[5] < factors[9]
+    assert factors[200] == pytest.approx(0.01 * 10 / 11, rel=1e-4)
+    assert all(a >= b for a, b in zip(factors[10:], factors[11:], strict=False))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [({"decay": "linear"}, "cosine"), ({"select": "first"}, "best"), ({"milestones_from": "end"}, "warmup_end")],
+)
+def test_wrong_choices_name_what_is_allowed(wrong: dict, named: str):
+    with pytest.raises(ValueError, match=named):
+        Recipe(10, 1, **wrong)
+
+
+def test_steps_must_be_positive():
+    with pytest.raises(ValueError, match="steps"):
+        Recipe(0, 1)
