@@ -5,7 +5,6 @@ The header holds one JSON entry, `kinema`: `{"kinema": version, "spec": {"_targe
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 from pathlib import Path
@@ -42,8 +41,7 @@ def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any)
             with temporary.open("rb") as file:
                 os.fsync(file.fileno())
     except (OSError, SafetensorError) as error:
-        code = getattr(error, "errno", None) or (errno.ENOSPC if "space" in str(error) else errno.EIO)
-        raise OSError(code, f"could not write {path}: {error}; free disk space or choose another folder") from error
+        raise OSError(f"could not write {path}: {error}; free disk space or choose another folder") from error
     return path
 
 

@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -183,6 +184,8 @@ class TextToMotion:
                     f"motion {i} has {motion.features.shape[1]} feature columns, this model ({representation.kind}) "
                     f"needs {representation.width}; extract them from its joints with kinema.motion.features.extract"
                 )
+            if not np.isfinite(motion.features).all():
+                raise ValueError(f"motion {i} holds NaN or infinite features; repair it before editing")
             check_length(len(motion.features), self.max_frames, self.skeleton.fps)
 
     def _modules(self) -> list[nn.Module]:

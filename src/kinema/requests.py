@@ -19,10 +19,12 @@ def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: i
     if frames is None and seconds is None:
         return None
     asked = _spread(frames if seconds is None else seconds, size)
-    counts = [int(a) if seconds is None else round(a * fps) for a in asked]
+    counts = asked if seconds is None else [round(a * fps) for a in asked]
     for count in counts:
+        if count != int(count):
+            raise ValueError(f"frames={count} is no whole number; give whole frames, or seconds=")
         check_length(count, maximum, fps)
-    return counts
+    return [int(count) for count in counts]
 
 
 def check_length(count: int, maximum: int, fps: float) -> None:
@@ -51,7 +53,7 @@ def batches(size: int, batch_size: int) -> Iterator[slice]:
 
 def _spread(values: Any, size: int) -> list:
     """Repeat one value, or check that there is one per text."""
-    values = [values] * size if isinstance(values, int | float) else list(values)
+    values = [values] * size if np.ndim(values) == 0 else list(values)
     if len(values) != size:
         raise ValueError(f"got {len(values)} lengths for {size} texts; give one, or one per text")
     return values

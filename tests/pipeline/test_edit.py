@@ -85,6 +85,8 @@ def test_motions_that_do_not_fit_the_model_are_named(model, motions):
         model.edit(replace(motions[0], skeleton="kit"), "someone waves", "prefix")
     with pytest.raises(ValueError, match="motion 0 has 60 feature columns"):
         model.edit(replace(motions[0], features=motions[0].features[:, :60]), "someone waves", "prefix")
+    with pytest.raises(ValueError, match="motion 0 holds NaN"):
+        model.edit(replace(motions[0], features=motions[0].features * np.nan), "someone waves", "prefix")
     with pytest.raises(ValueError, match="length 200 is out of range"):
         model.edit(replace(motions[0], features=np.zeros((200, 67), np.float32)), "someone waves", "prefix")
     with pytest.raises(ValueError, match="2 motions and 3 texts"):

@@ -79,6 +79,7 @@ def test_lengths_in_seconds_or_from_the_text(model):
         ({"frames": 0}, "length 0 is out of range; allowed: 1 to 196 frames"),
         ({"frames": 197}, r"length 197 is out of range; allowed: 1 to 196 frames \(9.8 seconds at 20"),
         ({"frames": None, "seconds": 60.0}, "length 1200"),
+        ({"frames": 40.5}, "frames=40.5 is no whole number"),
         ({"frames": 40, "seconds": 2.0}, "give one of them"),
         ({"frames": [40, 40]}, "2 lengths for 1 texts"),
         ({"guidence": 3}, "unknown sampling field 'guidence'; allowed: steps, guidance"),
