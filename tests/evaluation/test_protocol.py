@@ -202,7 +202,7 @@ def test_a_clip_that_is_not_finite_is_named(make, where):
     [
         ({"leftover": "pad"}, r"leftover='pad'; allowed: drop, keep, mld"),
         ({"pool": 1}, r"protocol\.pool=1; it must be at least 2"),
-        ({"mm_repeats": 10}, r"mm_repeats=10 must be greater than mm_pairs=10"),
+        ({"mm_repeats": 1}, r"mm_repeats=1; MultiModality compares at least 2"),
         ({"max_batches": 0}, r"max_batches=0"),
     ],
 )

@@ -34,8 +34,8 @@ class EvaluationProtocol:
             value = getattr(self, name)
             if value is not None and value < bound:
                 raise ValueError(f"protocol.{name}={value}; it must be at least {bound}")
-        if self.mm_texts and self.mm_repeats <= self.mm_pairs:
+        if self.mm_texts and self.mm_repeats < 2:
             raise ValueError(
-                f"protocol.mm_repeats={self.mm_repeats} must be greater than mm_pairs={self.mm_pairs}, "
-                "or set mm_texts=0 to leave MultiModality out"
+                f"protocol.mm_repeats={self.mm_repeats}; MultiModality compares at least 2 answers to a caption; "
+                "set mm_texts=0 to leave it out"
             )

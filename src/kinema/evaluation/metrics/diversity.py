@@ -55,11 +55,13 @@ class MultiModality(Metric):
         self.add_state("texts", torch.zeros((), dtype=torch.int64), dist_reduce_fx="sum")
 
     def update(self, embeddings: Float[Tensor, "b r e"]) -> None:
-        """Add all generations of some captions; ValueError unless there are more of them than pairs."""
+        """Add all generations of some captions, at least 2 of each; `pairs` is at most one less than them."""
         require_finite(embeddings, "repeated generations' embeddings")
         repeats = embeddings.shape[1]
-        if repeats <= self.pairs:
-            raise ValueError(f"mm_repeats={repeats} must be greater than mm_pairs={self.pairs}")
+        if repeats < 2:
+            raise ValueError(
+                f"MultiModality needs at least 2 generations of a caption, got {repeats}; raise mm_repeats"
+            )
         first, second = (i.to(embeddings.device) for i in draw_pairs(repeats, self.pairs, self.seed))
         distances = (embeddings[:, first] - embeddings[:, second]).norm(dim=-1)
         self.distance += distances.mean(1).sum().to(self.device)
