@@ -108,7 +108,7 @@ def test_generate_edit_and_look(run, capsys):
     capsys.readouterr()
     assert cli.main(["info", str(run)]) == 0
     described = json.loads(capsys.readouterr().out)
-    assert described["kinema"] == __version__
+    assert described["artifact"]["kinema"] == __version__
     assert described["text"]["encoder"] == "hashed"
     assert described["upstream"] == {"tokenizer": "../ae"}
 

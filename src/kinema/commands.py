@@ -127,7 +127,7 @@ def info(options: argparse.Namespace) -> None:
     path = Path(options.run)
     file = path / artifacts.WEIGHTS if path.is_dir() else path
     meta = artifacts.read_meta(file)
-    parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", **meta}
+    parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
         if found := read_json(path / f"{name}.json"):
             parts[name] = found
