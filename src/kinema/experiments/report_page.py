@@ -50,10 +50,11 @@ def _table(content: Grid) -> str:
 
 def _row(content: Grid, line: Line, opens: bool) -> str:
     classes = " ".join(filter(None, [line.kind, "opens" if opens else "", "" if line.replications else "idle"]))
-    note = f"<small>{escape(line.note)}</small>" if line.note else ""
-    count = line.state if line.replications else f"<small>{line.state}</small>"
+    remarks = [line.note] if line.replications else [line.state, line.note]
+    small = "".join(f"<small>{escape(remark)}</small>" for remark in remarks if remark)
+    count = line.replications or ""
     cells = "".join(_cell(column, cell, line) for column, cell in zip(content.columns, line.cells, strict=True))
-    return f"<tr class='{classes}'><th scope='row'>{escape(line.label)}{note}</th><td>{count}</td>{cells}</tr>"
+    return f"<tr class='{classes}'><th scope='row'>{escape(line.label)}{small}</th><td>{count}</td>{cells}</tr>"
 
 
 def _cell(column: Column, cell: Cell, line: Line) -> str:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _PIXELS = 480
 _TURN, _PITCH = 0.6, 0.2
-_VIEW = 1.45  # the film's field of view in statures
+_VIEW = 1.46  # the film's field of view in statures
 
 
 def save_mp4(motion: Motion, path: str | Path) -> Path:
@@ -42,7 +42,7 @@ def save_mp4(motion: Motion, path: str | Path) -> Path:
         try:
             for frame in range(len(joints)):
                 axes.clear()
-                camera = Camera((way[frame, 0], 0.55 * body.stature, way[frame, 1]), angle, _PITCH, 2.55 * body.stature)
+                camera = Camera((way[frame, 0], 0.57 * body.stature, way[frame, 1]), angle, _PITCH, 2.7 * body.stature)
                 _draw_frame(axes, joints, frame, body, camera)
                 _caption(axes, motion, frame)
                 figure.canvas.draw()

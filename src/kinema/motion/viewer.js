@@ -119,13 +119,13 @@
         const [x0, x1] = range(xs), [z0, z1] = range(zs);
         x = (x0 + x1) / 2; z = (z0 + z1) / 2; spread = Math.hypot(x1 - x0, z1 - z0);
       }
-      const angle = this.facing + turn, distance = (2.55 * size + 1.15 * spread) / zoom;
+      const angle = this.facing + turn, distance = (2.7 * size + 1.15 * spread) / zoom;
       const back = [Math.sin(angle) * Math.cos(pitch), Math.sin(pitch), Math.cos(angle) * Math.cos(pitch)];
       const right = [Math.cos(angle), 0, -Math.sin(angle)];
       const up = [back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2],
                   back[0] * right[1] - back[1] * right[0]];
       const focal = 1.85 * Math.min(width, height);
-      const target = [x, 0.55 * size, z];
+      const target = [x, 0.57 * size, z];
       const project = (px, py, pz) => {
         const d = [px - target[0], py - target[1], pz - target[2]];
         const depth = distance - (d[0] * back[0] + d[1] * back[1] + d[2] * back[2]);
@@ -188,9 +188,10 @@
     }
     drawBody(ink, camera, pose) {
       const points = this.parents.map((_, j) => camera.project(pose[3 * j], pose[3 * j + 1], pose[3 * j + 2]));
+      const middle = points[0] ? points[0][2] : camera.distance;
       const shade = (side, depth) => {
         const base = side < 0 ? theme.left : side > 0 ? theme.right : theme.middle;
-        return css(mix(base, theme.stage, clamp(0.12 + (depth - camera.distance) / (1.6 * this.stature), 0, 0.5)));
+        return css(mix(base, theme.stage, clamp(0.12 + (depth - middle) / (1.6 * this.stature), 0, 0.45)));
       };
       const parts = [];
       this.parents.forEach((parent, j) => {

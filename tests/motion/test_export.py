@@ -1,0 +1,121 @@
+"""Check that motions saved come back, films have their frames, and nothing half-written stays behind."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kinema.motion import export
+from kinema.motion.atomic import replacing
+from kinema.motion.skeleton import HUMANML3D, KIT
+from kinema.types import Motion
+
+
+@pytest.fixture
+def motion(wander) -> Motion:
+    joints = wander(HUMANML3D, 12).astype(np.float32)
+    features = np.random.default_rng(0).normal(size=(12, 263)).astype(np.float32)
+    return Motion(joints, features, "someone waves | ü", "humanml3d", 20.0, seed=7)
+
+
+@pytest.mark.parametrize("seed", [7, None])
+def test_npz_round_trip(motion, tmp_path, seed):
+    back = export.load_npz(export.save(replace(motion, seed=seed), tmp_path / "new" / "m.npz"))
+    np.testing.assert_array_equal(back.joints, motion.joints)
+    np.testing.assert_array_equal(back.features, motion.features)
+    assert (back.text, back.skeleton, back.fps, back.seed) == (motion.text, "humanml3d", 20.0, seed)
+
+
+def test_npy_round_trip(motion, tmp_path):
+    double = replace(motion, joints=motion.joints.astype(np.float64))
+    back = export.load_npy(export.save(double, tmp_path / "m.npy"))
+    assert back.dtype == np.float32
+    np.testing.assert_array_equal(back, motion.joints)
+
+
+@pytest.mark.parametrize("suffix", [".html", ".npy", ".npz", ".png"])
+def test_same_motion_gives_the_same_bytes(motion, tmp_path, suffix):
+    if suffix == ".png":
+        pytest.importorskip("matplotlib", reason="pip install 'kinema[viz]'")
+    files = [export.save(motion, tmp_path / f"{name}{suffix}").read_bytes() for name in "ab"]
+    assert files[0] == files[1]
+
+
+@pytest.mark.parametrize("skeleton", [HUMANML3D, KIT], ids=lambda s: s.name)
+def test_mp4_has_the_frames_and_rate(wander, tmp_path, skeleton):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="pip install 'kinema[viz]'")
+    motion = Motion(wander(skeleton, 6), np.zeros((6, 1)), "a person turns", skeleton.name, skeleton.fps)
+    path = export.save(motion, tmp_path / "film.mp4")
+    reader = ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    frames = [np.frombuffer(frame, np.uint8).reshape(480, 480, 3) for frame in reader]
+    assert len(frames) == 6
+    assert meta["fps"] == skeleton.fps
+    for channel in (0, 2):  # an orange and a blue side
+        other = 2 - channel
+        assert (frames[0][..., channel].astype(int) - frames[0][..., other] > 80).sum() > 100
+
+
+def test_strip_is_one_wide_picture(motion, tmp_path):
+    image = pytest.importorskip("matplotlib.image", reason="pip install 'kinema[viz]'")
+    height, width, _ = image.imread(export.save(motion, tmp_path / "strip.png")).shape
+    assert height == 500
+    assert width > 2 * height
+
+
+def test_unknown_suffix_names_the_known(motion, tmp_path):
+    with pytest.raises(ValueError, match=r"'m\.gif'.*\.html, \.mp4, \.png, \.npy, \.npz"):
+        export.save(motion, tmp_path / "m.gif")
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".png"])
+def test_broken_motion_leaves_no_file(motion, tmp_path, suffix):
+    joints = motion.joints.copy()
+    joints[4, 0, 0] = np.inf
+    with pytest.raises(ValueError, match="not finite from frame 4"):
+        export.save(replace(motion, joints=joints), tmp_path / f"m{suffix}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_interrupted_write_keeps_the_old_file(tmp_path):
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+
+    def interrupted() -> None:
+        with replacing(path) as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert [p.name for p in tmp_path.iterdir()] == ["file.txt"]
+    assert path.read_text() == "old"
+
+
+def test_untrusted_files_are_refused(motion, tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (exec, ("raise SystemExit('executed')",))
+
+    (tmp_path / "raw.npy").write_bytes(pickle.dumps(Bomb()))
+    np.save(tmp_path / "object.npy", np.array([Bomb()], dtype=object), allow_pickle=True)
+    np.savez(tmp_path / "object.npz", joints=np.array([Bomb()], dtype=object))
+    for name in ("raw.npy", "object.npy"):
+        with pytest.raises(ValueError, match=name):
+            export.load_npy(tmp_path / name)
+    with pytest.raises(ValueError, match=r"object\.npz"):
+        export.load_npz(tmp_path / "object.npz")
+
+
+def test_wrong_content_is_named(motion, tmp_path):
+    np.save(tmp_path / "flat.npy", np.zeros((5, 66)))
+    with pytest.raises(ValueError, match=r"\(frames, joints, 3\); it holds float64 \(5, 66\)"):
+        export.load_npy(tmp_path / "flat.npy")
+    np.savez(tmp_path / "part.npz", joints=motion.joints)
+    with pytest.raises(ValueError, match="lacks features, fps, skeleton, text"):
+        export.load_npz(tmp_path / "part.npz")
+    with pytest.raises(FileNotFoundError, match=r"gone\.npy"):
+        export.load_npy(tmp_path / "gone.npy")
