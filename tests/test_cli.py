@@ -142,6 +142,14 @@ def test_prepare_gives_a_store_that_opens(tmp_path, capsys):
     assert store.name == "synthetic"
 
 
+def test_doctor_examines_what_prepare_wrote(tmp_path, capsys):
+    out = str(tmp_path / "store")
+    assert cli.main(["prepare", "--format", "synthetic", "--out", out, "--set", "size=12", "--processes", "1"]) == 0
+    assert cli.main(["doctor", out]) == 0
+    assert "doctor: " in capsys.readouterr().out
+    fails(capsys, ["doctor", str(tmp_path / "nowhere")], "nowhere")
+
+
 def test_errors_are_one_line_and_exit_with_2(run, capsys):
     make = ["generate", "a person walks", "--run", str(run), "--out", "a.npz"]
     fails(capsys, make, "no length: give frames= or seconds=")

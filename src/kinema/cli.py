@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.set = _settings(options.set)
         from kinema import commands  # here, so that --help answers at once
 
-        getattr(commands, options.command)(options)
+        return getattr(commands, options.command)(options) or 0
     except (ValueError, OSError, ImportError) as error:
         if options.debug:
             raise
@@ -34,7 +34,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -85,9 +84,10 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
     pack.add_argument("--processes", type=int, help="processes that extract features")
     _add_settings(pack, "reader option, e.g. size=400 of synthetic")
-    add("doctor", "check a corpus or a packed store").add_argument(
-        "path", help="corpus folder, packed store or motion file"
-    )
+    check = add("doctor", "examine a corpus, a packed store or a file of joints")
+    check.add_argument("path", help="corpus folder, packed store or .npy of joints")
+    check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
+    check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
     add("info", "describe a run folder or a weights file").add_argument("run", help="run folder or weights file")
     return parser
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 
 from kinema import artifacts, interop
+from kinema.data import doctor as examine
 from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
@@ -114,12 +115,11 @@ def prepare(options: argparse.Namespace) -> None:
     print(f"wrote {path}: {store!r}")
 
 
-def doctor(options: argparse.Namespace) -> None:
-    """Check a corpus, a store or one motion."""
-    from kinema.data.doctor import examine
-
-    report = examine(options.path)
-    print(report)
+def doctor(options: argparse.Namespace) -> int:
+    """Examine a corpus, a store or one file of joints; exit code 1 if something is wrong."""
+    findings = examine.diagnose(options.path, source=options.source)
+    print(examine.format(findings))
+    return examine.exit_code(findings, strict=options.strict)
 
 
 def info(options: argparse.Namespace) -> None:

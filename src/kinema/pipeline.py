@@ -167,7 +167,7 @@ class TextToMotion:
     def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
         counts = frame_counts(frames, seconds, size, fps=self.skeleton.fps, maximum=self.max_frames)
         if counts is None and self.length_estimator is None:
-            raise ValueError("no length: give frames= or seconds=, or load a length estimator (length=RUN, --length RUN)")
+            raise ValueError("no length: give frames= or seconds=, or a length estimator (length=RUN, --length RUN)")
         return counts
 
     def _estimated(self, text: Any, seeds: Tensor) -> Tensor:
