@@ -71,7 +71,7 @@ def draw_pose(axes: Axes, pose: Float[np.ndarray, "j 3"], body: Body, camera: Ca
         segment = [points[[parent, joint]]]
         _lines(axes, segment, at, STAGE, width + 1.6, zorder=10 + order, capstyle="butt")
         _lines(axes, segment, at, COLOURS[side], width, zorder=10 + order)
-    _draw_head(axes, pose, body, camera, at)
+    _draw_head(axes, pose, body, camera, at, limbs=list(depths.values()))
 
 
 def draw_grid(axes: Axes, camera: Camera, cell: float = 0.5, reach: int = 12) -> None:
@@ -95,14 +95,14 @@ def draw_path(axes: Axes, path: Float[np.ndarray, "t 2"], now: int, camera: Came
     axes.plot(*points[now:, :2].T, color=ACCENT, lw=1.4, zorder=3, alpha=0.5, ls=(0, (1, 2.5)))
 
 
-def _draw_head(axes: Axes, pose: np.ndarray, body: Body, camera: Camera, at: float) -> None:
+def _draw_head(axes: Axes, pose: np.ndarray, body: Body, camera: Camera, at: float, limbs: list[float]) -> None:
     from matplotlib.patches import Circle
 
     bone = pose[body.head] - pose[body.parents[body.head]]
     radius = 0.06 * body.stature  # the head joint sits at the skull's base, so the ball goes above it
     x, y, depth = camera.project(pose[body.head] + 0.6 * radius * bone / max(float(np.linalg.norm(bone)), 1e-6))
     ball = Circle((x + at, y), radius * camera.distance / depth, fc=COLOURS[0], ec=STAGE, lw=1.0)
-    ball.set_zorder(10 + len(body.parents) if depth < camera.distance else 30)
+    ball.set_zorder(9.5 + sum(limb > depth for limb in limbs))  # over what is farther, under what is nearer
     axes.add_patch(ball)
 
 
