@@ -36,8 +36,9 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
     table = load_table(name)
     shared = [o for o in overrides if not o.startswith("launcher=")]
     rows = plan(table, shared)
-    if not render_only:
-        for script, choices in missing_work(rows):
+    work = [] if render_only else missing_work(rows)
+    if work:
+        for script, choices in work:
             command = [sys.executable, f"{script}.py", "-m", *overrides, *choices]
             console.print(f"[bold]run[/]       {script}.py -m {' '.join([*overrides, *choices])}")
             if subprocess.run(command, cwd=ROOT).returncode:

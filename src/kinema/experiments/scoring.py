@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from kinema.build import build
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.store import PackedStore
 from kinema.evaluation import sources
+from kinema.evaluation.cache import motion_key
+from kinema.evaluation.metrics.fid import half_against_half
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import attach_text, encode_captions, read_model, text_encoder
@@ -24,6 +28,10 @@ from kinema.types import MotionBatch
 
 SAMPLES = 6
 """Motions of the first replication that are kept to be watched, the same clips for every source."""
+
+
+MOST_VALUES = 12
+"""Values of a field up to which results are broken down by value."""
 
 
 class Scorer:
@@ -40,11 +48,12 @@ class Scorer:
         self.matching, self.contrastive = judges["matching"], judges["contrastive"]
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.source = self._source(runs)
-        self.seen = self._labels_seen()
+        self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
         sampling = plain(cfg.generator.sampling) if cfg.source == "generation" else None
         self.provenance = {
             "source": cfg.source,
             "runs": {k: v.name for k, v in sorted(runs.items())},
+            "evaluators": {name: model.identity() for name, model in judges.items()},
             "corpus": {"name": self.store.name, "hash": self.store.hash},
             "statistics": {
                 "corpus": self.store.statistics.digest(),
@@ -61,16 +70,9 @@ class Scorer:
 
     def replicate(self, replication: int) -> ReplicationResult:
         """Score one replication; its captions, crops and noise follow from the protocol's seed and its number."""
-        batches = self.data.test_batches(
-            self.protocol.split,
-            replication,
-            seed=self.protocol.seed,
-            batch_size=self.protocol.pool,
-            leftover=self.protocol.leftover,
-        )
-        return evaluate_replication(
+        result = evaluate_replication(
             self.source,
-            (batch.to(self.device) for batch in batches),
+            self._batches(replication),
             self.matching,
             self.contrastive,
             self.protocol,
@@ -78,6 +80,26 @@ class Scorer:
             fields=self._fields,
             cache=self.cache,
         )
+        if self.cfg.source == "real":
+            result.metrics["half_fid"] = self._half_fid(replication)
+        return result
+
+    def _batches(self, replication: int) -> Iterator[MotionBatch]:
+        protocol = self.protocol
+        batches = self.data.test_batches(
+            protocol.split, replication, seed=protocol.seed, batch_size=protocol.pool, leftover=protocol.leftover
+        )
+        return (batch.to(self.device) for batch in batches)
+
+    @torch.no_grad()
+    def _half_fid(self, replication: int) -> float:
+        """Give the FID of one half of the real clips to the other (their embeddings are cached)."""
+        shelf = self.cache.shelf(self.matching.identity(), self.protocol.seed, replication)
+        known = [
+            shelf.get(motion_key(batch), partial(self.matching.embed_motion, batch), torch.device("cpu"))
+            for batch in self._batches(replication)
+        ]
+        return half_against_half(torch.cat(known), self.protocol.seed + replication)
 
     def save_samples(self, path: Path, result: ReplicationResult) -> None:
         """Keep a few motions of the replication as joints."""
@@ -97,7 +119,8 @@ class Scorer:
         if name == "shuffled":
             return sources.ShuffledCaptions()
         if name == "nearest":
-            return sources.NearestTrainingCaption.from_store(self.store, self._text("train", self.protocol.split))
+            train = self.store.split_entries("train")
+            return sources.NearestTrainingCaption(self.store, train, self._text("train", self.protocol.split))
         if name == "generation":
             from kinema.pipeline import TextToMotion
 
@@ -125,18 +148,20 @@ class Scorer:
         stacked = torch.cat(values)
         return stacked.mean(0), stacked.std(0)
 
-    def _labels_seen(self) -> set[str]:
-        if "label" not in self.store.fields:
-            return set()
-        return {self.store.entry_field(int(e), "label") for e in self.store.split_entries("train")}
-
     def _fields(self, batch: MotionBatch) -> dict[str, list[str]]:
-        """Give the manifest's fields of each clip by which results are broken down."""
-        entries = batch.entries.tolist()
+        """Give the manifest's fields of each clip; of one with many values, whether training saw the value."""
         found = {}
-        if "source" in self.store.fields:
-            found["source"] = [self.store.entry_field(e, "source") for e in entries]
-        if "label" in self.store.fields:
-            labels = [self.store.entry_field(e, "label") for e in entries]
-            found["label seen in training"] = ["seen" if x in self.seen else "unseen" for x in labels]
+        for field in self.store.fields:
+            if field == "licence":
+                continue
+            values = [self.store.entry_field(entry, field) for entry in batch.entries.tolist()]
+            if len(self.tested[field]) > MOST_VALUES:
+                seen = ["seen" if value in self.trained[field] else "unseen" for value in values]
+                found[f"{field} seen in training"] = seen
+            else:
+                found[field] = values
         return found
+
+    def _values(self, split: str) -> dict[str, set[str]]:
+        entries = [int(e) for e in self.store.split_entries(split)]
+        return {field: {self.store.entry_field(e, field) for e in entries} for field in self.store.fields}

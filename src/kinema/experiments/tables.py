@@ -88,7 +88,7 @@ def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
         return {"command": command}
     first = lines[0]
     found = {k: first[k] for k in ("corpus", "statistics", "words", "tokens", "protocol", "device")}
-    found["evaluators"] = {k: first["runs"][k] for k in ("matching", "contrastive")}
+    found["evaluators"] = {k: f"{first['runs'][k]}, weights {v}" for k, v in first["evaluators"].items()}
     found["text encoder"] = sorted({line["text_encoder"] for line in lines if line["text_encoder"]})
     found["sampling"] = {
         row.spec["label"]: row.place.lines[0]["provenance"]["sampling"]
@@ -131,7 +131,6 @@ BREAKDOWN_COLUMNS = [
     {"key": "r1", "label": "R@1", "better": "higher", "digits": 3},
     {"key": "r3", "label": "R@3", "better": "higher", "digits": 3},
     {"key": "matching", "label": "Matching", "better": "lower", "digits": 3},
-    {"key": "fid", "label": "FID", "better": "lower", "digits": 3},
 ]
 
 
