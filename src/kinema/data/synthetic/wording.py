@@ -31,8 +31,8 @@ ADV: forward forwards backward backwards back ahead diagonally clockwise counter
 NOUN: person man figure human woman line place spot circle=circles circle zigzag curve arc side=sides side knee=knees
  knee leg foot hand=hands hand arm=arms arm head air step=steps step time=times time row turn degree=degrees dance music
  hip=hips floor ground chair stool seat fist=fists fist front body chest height box object ball cup bottle glass mouth
- sip=sips sip drink sky jack=jacks jack punch kick bow stretch lunge squat tiptoe=tiptoes toe=toes bat club golf baseball
- forehead salute guitar hello pace child way crouch jump
+ sip=sips sip drink sky jack=jacks jack punch kick bow stretch lunge squat tiptoe=tiptoes toe=toes bat club golf
+ baseball forehead salute guitar hello pace child way crouch jump
 VERB: curve=curving crouch=crouching wave=waving lean=leaning bend=bending bend touch twist=twisting walk=walking
  stretch=stretched stretch raise=raised hold=held stand=standing pick rise jump=jumping cross=crossed strum=strumming
  hang=hanging bounce=bouncing

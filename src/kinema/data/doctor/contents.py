@@ -1,0 +1,212 @@
+"""Check what a corpus holds: counts, what is missing, captions, sides, statistics, jumps, units."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from kinema.data.captions import swap_sides
+from kinema.data.catalog import SPLITS
+from kinema.data.doctor.finding import Finding, Severity
+from kinema.data.doctor.patient import Patient
+from kinema.motion.checks import MAX_SPEED
+from kinema.motion.statistics import PUBLISHED_DIVISOR, Statistics
+from kinema.types import Caption
+
+MANY_MISSING = 0.05
+"""Share of listed clips without files above which a corpus is another one than it is taken for."""
+FEW = 0.01
+"""Share up to which slips in captions are but a warning."""
+_SIDE = re.compile(r"\b(left|right|(?:counter)?clockwise)")
+_AGAINST = re.compile(r"\b(?:counter|anti)[ -]?(?=clockwise)")
+
+
+def counts(patient: Patient) -> Iterator[Finding]:
+    """Count clips, frames and captions per split; an empty split is wrong."""
+    lines = []
+    for split in SPLITS:
+        chosen = [i for i, s in enumerate(patient.splits) if s == split]
+        captions = sum(len(patient.captions[i]) for i in chosen)
+        mirrored = sum(patient.mirrored[i] for i in chosen)
+        lines.append(f"{split} {len(chosen)} clips ({mirrored} mirrored), {captions} captions")
+        if not chosen:
+            yield Finding(
+                "error" if split == "train" else "warning",
+                "empty split",
+                f"split {split!r} has no usable clip",
+                f"list clips in {split}.txt",
+            )
+    yield Finding("info", "counts", f"{patient.name} ({patient.skeleton.name}): {'; '.join(lines)}")
+    repeated = tuple(name for name, n in Counter(patient.names).items() if n > 1)
+    if repeated:
+        yield Finding("error", "duplicate names", f"{len(repeated)} names are used twice", "rename them", repeated)
+
+
+def left_out(patient: Patient) -> Iterator[Finding]:
+    """Tell what was not used, by reason."""
+    by_kind = {what: [d for d in patient.dropped if d.what == what] for what in ("missing", "clip", "caption", "entry")}
+    told = {
+        "missing": ("missing files", "are listed but lack files", "complete the download, or take them off the lists"),
+        "clip": (
+            "unusable clips",
+            "hold NaN or cannot be read",
+            "extract these clips again, or take them off the lists",
+        ),
+        "caption": ("unreadable captions", "caption lines cannot be read", "write `caption#tokens#start#end`"),
+    }
+    for what, (kind, message, fix) in told.items():
+        if found := by_kind[what]:
+            share = len(found) / (len(found) + len(patient))
+            severity = "error" if what == "missing" and share > MANY_MISSING else "warning"
+            items = tuple(f"{d.name} ({d.reason})" for d in found)
+            yield Finding(severity, kind, f"{len(found)} {message}", fix, items)
+    if found := by_kind["entry"]:
+        limits = f"{patient.skeleton.min_frames} <= frames < {patient.skeleton.max_frames}"
+        names = tuple(d.name for d in found)
+        yield Finding("info", "length filter", f"{len(found)} entries are outside {limits}", items=names)
+
+
+def captions(patient: Patient) -> Iterator[Finding]:
+    """Find clips without captions, captions without tokens, and tokens that tell another side than the text."""
+    bare = tuple(patient.names[i] for i in range(len(patient)) if not patient.captions[i])
+    untagged = {d.name for d in patient.dropped if d.what == "entry"}
+    bare = tuple(name for name in bare if name not in untagged)
+    if bare:
+        yield Finding(
+            "warning",
+            "no captions",
+            f"{len(bare)} clips have no caption: only tokenizers are trained on them",
+            "add texts/NAME.txt, one caption a line",
+            bare,
+        )
+    every = [(patient.names[i], c) for i in range(len(patient)) for c in patient.captions[i]]
+    plain = tuple(name for name, c in every if not c.tokens)
+    if plain:
+        yield Finding(
+            "info",
+            "no tokens",
+            f"{len(plain)} of {len(every)} captions have no word/POS tokens; the T2M evaluator then tags them itself",
+            "pip install 'kinema[tag]' for the tags of the published corpora",
+            plain,
+        )
+    torn = tuple(f"{name} ({c.text!r})" for name, c in every if c.tokens and _sides(c.text) != _sides(_words(c)))
+    if torn:
+        yield Finding(
+            _severity(len(torn), len(every)),
+            "sides in tokens",
+            f"{len(torn)} captions name other sides in their text than in their tokens",
+            "swap left and right in both (kinema.data.captions.swap_sides), or in neither",
+            torn,
+        )
+
+
+def sides(patient: Patient) -> Iterator[Finding]:
+    """Check that the captions of a mirrored clip say left where its original says right."""
+    place = {name: i for i, name in enumerate(patient.names)}
+    same, odd, pairs = [], [], 0
+    for name, i in place.items():
+        original = place.get(name[1:]) if patient.mirrored[i] else None
+        if original is None:
+            continue
+        told = [c.text for c in patient.captions[original]]
+        expected = Counter(swap_sides(text) for text in told)
+        found = Counter(c.text for c in patient.captions[i])
+        pairs += 1
+        if found != expected:
+            (same if found == Counter(told) else odd).append(name)
+    if same:
+        yield Finding(
+            _severity(len(same), pairs),
+            "sides not swapped",
+            f"{len(same)} of {pairs} mirrored clips have the captions of their original, sides included: these were "
+            "never swapped, or swapped twice",
+            "swap left and right, clockwise and counterclockwise in M*.txt exactly once; the official M*.txt come swapped",
+            tuple(same),
+        )
+    if odd:
+        yield Finding(
+            "warning",
+            "sides",
+            f"{len(odd)} of {pairs} mirrored clips have captions that are not the swapped ones of their original",
+            "write M*.txt with kinema.data.captions.swap_sides; a chain of str.replace swaps some words twice",
+            tuple(odd),
+        )
+
+
+def statistics(patient: Patient) -> Iterator[Finding]:
+    """Compare the mean and deviation that the corpus brought with those of its features."""
+    own = patient.statistics
+    if own is None or not len(patient):
+        return
+    skeleton = patient.skeleton
+    if len(own.mean) != skeleton.feature_width:
+        message = f"Mean and Std are {len(own.mean)} wide, {skeleton.name} has {skeleton.feature_width}"
+        yield Finding("error", "statistics", message, "remove Mean.npy and Std.npy to compute them")
+        return
+    computed = Statistics.compute((patient.rows(i) for i in range(len(patient))), skeleton)
+    ratio = {name: own.std[cols] / computed.std[cols] for name, cols in skeleton.groups.items()}
+    biased = [n for n, r in ratio.items() if n in ("root_yaw", "root_linear", "root_height", "contacts") and _near(r)]
+    fix = "remove Mean.npy and Std.npy so that they are computed, then prepare again"
+    if len(biased) == 4:
+        yield Finding(
+            "error",
+            "statistics",
+            f"the deviation of root and contacts is the real one divided by {PUBLISHED_DIVISOR:g}: the T2M family's "
+            "variant, taken for the raw one",
+            f"{fix}; models that want this variant ask for it (Representation(variant='published'))",
+        )
+        return
+    uneven = [name for name, cols in skeleton.groups.items() if np.ptp(own.std[cols]) > 1e-3 * own.std[cols].mean()]
+    if uneven:
+        message = f"the deviation is not averaged over the columns of {', '.join(uneven)}, as published"
+        yield Finding("error", "statistics", message, fix)
+    deviation = float(np.abs((own.mean - computed.mean) / computed.std).max())
+    off = [name for name, r in ratio.items() if abs(np.log(r.mean())) > 0.1]
+    if deviation > 0.1 or (off and not uneven):
+        detail = f"the mean is off by up to {deviation:.2f} deviations"
+        detail += f", the deviation of {', '.join(off)} by more than 10 %" if off else ""
+        yield Finding("error", "statistics", f"Mean and Std are not those of these clips: {detail}", fix)
+
+
+def motion(patient: Patient, speeds: np.ndarray, heights: np.ndarray) -> Iterator[Finding]:
+    """Find jumps (m/s per clip) and a unit or floor that cannot be (median root height per clip)."""
+    jumps = np.flatnonzero(speeds > MAX_SPEED)
+    if len(jumps):
+        yield Finding(
+            "warning",
+            "jumps",
+            f"{len(jumps)} clips have a joint faster than {MAX_SPEED:g} m/s",
+            "cut the clips there, or repair the tracking",
+            tuple(f"{patient.names[i]} ({speeds[i]:.0f} m/s)" for i in jumps),
+        )
+    low, high = (0.4, 1.4) if patient.skeleton.name == "humanml3d" else (250, 900)
+    typical = float(np.median(heights))
+    if not low <= typical <= high:
+        unit = patient.skeleton.unit
+        yield Finding(
+            "error",
+            "unit",
+            f"the median root height is {typical:.3g} {unit}, a standing person's is between {low:g} and {high:g}",
+            "check the unit (HumanML3D: metres; KIT: its own millimetres) and that Y points up",
+        )
+
+
+def _severity(count: int, total: int) -> Severity:
+    """Call it an error if it is more than a few slips."""
+    return "error" if count > FEW * total else "warning"
+
+
+def _sides(text: str) -> list[str]:
+    """List the sides that a text names, in order."""
+    return _SIDE.findall(_AGAINST.sub("counter", text.lower()))
+
+
+def _words(caption: Caption) -> str:
+    return " ".join(token.rpartition("/")[0] for token in caption.tokens)
+
+
+def _near(ratio: np.ndarray) -> bool:
+    return bool(np.all(np.abs(ratio * PUBLISHED_DIVISOR - 1) < 0.1))

@@ -1,0 +1,116 @@
+"""Run every check on a corpus."""
+
+from __future__ import annotations
+
+import csv
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from kinema.data.catalog import SPLITS
+from kinema.data.doctor import contents, likeness
+from kinema.data.doctor.finding import Finding
+from kinema.data.doctor.patient import Patient, from_folder, from_store
+from kinema.data.store import PackedStore
+from kinema.motion.checks import check_clip
+from kinema.motion.skeleton import SKELETONS
+
+
+def diagnose(target: str | Path | PackedStore, *, source: str | Path | None = None) -> list[Finding]:
+    """Examine a packed store, a corpus folder (joints or official layout) or one .npy file of joints.
+
+    `source` is the folder that a store was made from: its lists and files are then examined too, and its `index.csv`
+    (HumanML3D: source_path, ..., new_name) tells which clips come from one recording. Raises FileNotFoundError if
+    there is nothing at `target`.
+    """
+    path = target.path if isinstance(target, PackedStore) else Path(target)
+    if path.is_file():
+        return list(_one_motion(path))
+    if not path.is_dir():
+        raise FileNotFoundError(f"{path} is no packed store, corpus folder or .npy file; check the path")
+    packed = (path / "manifest.json").is_file() and (path / "features.f32").is_file()
+    folder = Path(source) if source is not None else (None if packed else path)
+    findings = list(_lists(folder)) if folder is not None else []
+    index = _read_index(folder) if folder is not None else {}
+    try:
+        patient = from_store(path, index) if packed else from_folder(path, index)
+    except (ValueError, FileNotFoundError) as error:
+        return [*findings, Finding("error", "unreadable", str(error), "see the message; then examine it again")]
+    return findings + list(_examine(patient))
+
+
+def _examine(patient: Patient) -> Iterator[Finding]:
+    yield from contents.counts(patient)
+    yield from contents.left_out(patient)
+    yield from contents.captions(patient)
+    yield from contents.sides(patient)
+    yield from contents.statistics(patient)
+    if len(patient):
+        poses, speeds, heights = likeness.sketch(patient)
+        yield from contents.motion(patient, speeds, heights)
+        yield from likeness.near_duplicates(patient, poses)
+    yield from likeness.leakage(patient)
+
+
+def _lists(folder: Path) -> Iterator[Finding]:
+    """Examine the split files against each other and against the files there are."""
+    listed = {s: _lines(folder / f"{s}.txt") for s in SPLITS}
+    where: dict[str, list[str]] = defaultdict(list)
+    for split, names in listed.items():
+        for name in names:
+            where[name].append(split)
+    repeated = tuple(f"{name} ({', '.join(s)})" for name, s in where.items() if len(s) > 1)
+    if repeated:
+        message = f"{len(repeated)} clips are listed more than once in train.txt, val.txt and test.txt"
+        yield Finding("error", "duplicate names", message, "list every clip once, in one split", repeated)
+    motions = next((folder / n for n in ("new_joint_vecs", "joints") if (folder / n).is_dir()), None)
+    if motions is None:
+        return
+    present = {f.relative_to(motions).as_posix().removesuffix(".npy") for f in motions.rglob("*.npy")}
+    lacking = tuple(name for name in where if name not in present)
+    if lacking:
+        message = f"{len(lacking)} of {len(where)} listed clips have no file in {motions.name}/"
+        fix = "complete the download or extraction, or take them off the lists"
+        yield Finding(
+            "error" if len(lacking) > 0.05 * len(where) else "warning", "missing files", message, fix, lacking
+        )
+    unlisted = tuple(sorted(present - set(where)))
+    if unlisted:
+        message = f"{len(unlisted)} files of {motions.name}/ are in no split"
+        yield Finding("info", "unlisted files", message, "add them to a split, if they belong to one", unlisted)
+
+
+def _lines(file: Path) -> list[str]:
+    return (
+        [s for line in file.read_text(encoding="utf-8-sig").splitlines() if (s := line.strip())]
+        if file.is_file()
+        else []
+    )
+
+
+def _read_index(folder: Path) -> dict[str, str]:
+    """Read which recording each clip was cut from; empty if the folder doesn't say."""
+    file = folder / "index.csv"
+    if not file.is_file():
+        return {}
+    with file.open(newline="", encoding="utf-8-sig") as stream:
+        rows = list(csv.DictReader(stream))
+    return {Path(r["new_name"]).stem: r["source_path"] for r in rows if r.get("new_name") and r.get("source_path")}
+
+
+def _one_motion(file: Path) -> Iterator[Finding]:
+    joints = np.load(file, allow_pickle=False)
+    fitting = [s for s in SKELETONS.values() if joints.shape[1:] == (s.num_joints, 3)]
+    if not fitting:
+        wanted = " or ".join(f"(T, {s.num_joints}, 3)" for s in SKELETONS.values())
+        yield Finding("error", "shape", f"{file.name} has shape {joints.shape}", f"write joints of shape {wanted}")
+        return
+    skeleton = fitting[0]
+    yield Finding(
+        "info", "counts", f"{file.name}: {len(joints)} frames of {skeleton.name}, {len(joints) / skeleton.fps:.1f} s"
+    )
+    for problem in check_clip(joints, skeleton, skeleton.fps):
+        severity = "warning" if problem.kind == "jump" else "error"
+        yield Finding(severity, problem.kind, problem.message, "cut or repair the motion there")

@@ -1,0 +1,107 @@
+"""See a corpus the same way whether it is packed or still a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped, read_joints_folder, read_official
+from kinema.data.convert import convert
+from kinema.data.store import PackedStore
+from kinema.motion.skeleton import SKELETONS, Skeleton
+from kinema.motion.statistics import Statistics
+from kinema.types import Caption
+
+
+@dataclass
+class Patient:
+    """Hold a corpus' clips by parallel lists, what was left out of it, and the statistics it brought.
+
+    `rows` gives a clip's full-width features. `known` holds the clip's fields. `index` maps names to the recording
+    they were cut from, where the corpus says so.
+    """
+
+    name: str
+    skeleton: Skeleton
+    names: list[str]
+    splits: list[str]
+    mirrored: list[bool]
+    captions: list[list[Caption]]
+    known: list[dict[str, str]]
+    rows: Callable[[int], np.ndarray]
+    dropped: Sequence[Dropped]
+    statistics: Statistics | None
+    index: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def from_store(path: Path, index: dict[str, str]) -> Patient:
+    """See a packed store."""
+    store = PackedStore.open(path)
+    captions: list[list[Caption]] = [[] for _ in range(store.num_clips)]
+    for entry, clip in enumerate(store.entries["clip"]):
+        captions[clip] += store.entry_captions(entry)
+    return Patient(
+        name=store.name,
+        skeleton=store.skeleton,
+        names=[store.clip_name(i) for i in range(store.num_clips)],
+        splits=[SPLITS[i] for i in store.clips["split"]],
+        mirrored=store.clips["mirrored"].tolist(),
+        captions=captions,
+        known=[{f: store.clip_field(i, f) for f in store.fields} for i in range(store.num_clips)],
+        rows=store.clip_frames,
+        dropped=[Dropped(**{k: d[k] for k in ("name", "split", "what", "reason")}) for d in store.dropped],
+        statistics=store.statistics,
+        index=index,
+    )
+
+
+def from_folder(path: Path, index: dict[str, str]) -> Patient:
+    """See a joints folder or an official one; every clip is loaded once. Raises ValueError or FileNotFoundError."""
+    skeleton, official = guess_skeleton(path), (path / "new_joint_vecs").is_dir()
+    catalog = read_official(path, skeleton.name) if official else read_joints_folder(path)
+    clips, rows, dropped = _load(catalog, skeleton)
+    return Patient(
+        name=path.name,
+        skeleton=skeleton,
+        names=[c.name for c in clips],
+        splits=[c.split for c in clips],
+        mirrored=[c.mirrored for c in clips],
+        captions=[[a.caption for a in c.captions] for c in clips],
+        known=[c.fields for c in clips],
+        rows=rows.__getitem__,
+        dropped=dropped,
+        statistics=catalog.statistics,
+        index=index,
+    )
+
+
+def guess_skeleton(path: Path) -> Skeleton:
+    """Tell the skeleton from the shape of the folder's arrays. Raises ValueError naming the shapes that are known."""
+    folder = path / "new_joint_vecs" if (path / "new_joint_vecs").is_dir() else path / "joints"
+    file = next(iter(sorted(folder.rglob("*.npy"))), None)
+    if file is None:
+        raise FileNotFoundError(f"{path} has neither new_joint_vecs/*.npy nor joints/*.npy; is it a corpus folder?")
+    shape = np.load(file, mmap_mode="r", allow_pickle=False).shape
+    for skeleton in SKELETONS.values():
+        if shape[1:] in ((skeleton.feature_width,), (skeleton.num_joints, 3)):
+            return skeleton
+    known = ", ".join(f"{s.name}: (T, {s.num_joints}, 3) or (T, {s.feature_width})" for s in SKELETONS.values())
+    raise ValueError(f"{file} has shape {shape}; the skeletons known are {known}")
+
+
+def _load(catalog: Catalog, skeleton: Skeleton) -> tuple[list[Clip], list[np.ndarray], list[Dropped]]:
+    clips, rows, dropped = [], [], list(catalog.dropped)
+    for clip in catalog.clips:
+        made = convert((clip, skeleton.name, False))
+        if isinstance(made, Dropped):
+            dropped.append(made)
+        else:
+            clips.append(clip)
+            rows.append(made[0])
+    return clips, rows, dropped
