@@ -78,15 +78,15 @@ def test_mardm_matching_embeddings(mardm):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("margin", [10, 3])
+@pytest.mark.parametrize("margin", [10.0, 3.0])
 def test_original_matching_losses(original, margin):
-    model = load_original(original, negative_shift="legacy", margin=float(margin))
+    model = load_original(original, negative_shift="legacy", margin=margin)
     batch = batch_of(original)
     text, motion = model.embed_text(batch.captions), model.embed_motion(batch)
     torch.testing.assert_close(text, original["out.text_emb"], **CLOSE)
     torch.testing.assert_close(motion, original["out.motion_emb"], **CLOSE)
     order = original["out.length_order"]
-    for shift, expected in enumerate(original[f"out.matching_loss_margin{margin}"]):
+    for shift, expected in enumerate(original[f"out.matching_loss_margin{margin:g}"]):
         found = margin_losses(text[order], motion[order], shift, margin)
         torch.testing.assert_close(torch.stack(list(found.values())), expected, rtol=1e-4, atol=3e-4)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from kinema.types import Caption, Latents, MotionBatch, TextFeatures
 TextEncoder = Callable[[list[str]], TextFeatures]
 
 
+@runtime_checkable
 class Source(Protocol):
     """Answer the captions of a batch with motions, in the same order.
 
@@ -99,6 +100,7 @@ class NoiseLatents:
         return answer(batch, decoded.features, decoded.lengths)
 
 
+@runtime_checkable
 class TrainingClips(Protocol):
     """Give training clips and their captions by entry (a `PackedStore` does)."""
 
@@ -116,7 +118,7 @@ class NearestTrainingCaption:
 
     label, multimodal, reconstructs = "nearest training caption", False, False
 
-    def __init__(self, store: TrainingClips, entries: Sequence[int], text_encoder: TextEncoder) -> None:
+    def __init__(self, store: TrainingClips, entries: Iterable[int], text_encoder: TextEncoder) -> None:
         self.store, self.text_encoder = store, text_encoder
         known = [(caption.text, int(entry)) for entry in entries for caption in store.entry_captions(int(entry))]
         if not known:

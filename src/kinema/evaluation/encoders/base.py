@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -16,6 +16,7 @@ from kinema.motion.representation import Representation
 from kinema.types import Caption, Losses, MotionBatch
 
 
+@runtime_checkable
 class Vocabulary(Protocol):
     """Turn captions into what an evaluator reads; `identity` names its content."""
 
