@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -118,7 +118,7 @@ class NearestTrainingCaption:
 
     label, multimodal, reconstructs = "nearest training caption", False, False
 
-    def __init__(self, store: TrainingClips, entries: Iterable[int], text_encoder: TextEncoder) -> None:
+    def __init__(self, store: TrainingClips, entries: Sequence[int] | np.ndarray, text_encoder: TextEncoder) -> None:
         self.store, self.text_encoder = store, text_encoder
         known = [(caption.text, int(entry)) for entry in entries for caption in store.entry_captions(int(entry))]
         if not known:
