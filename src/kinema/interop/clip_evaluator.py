@@ -7,7 +7,6 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from kinema.evaluation.encoders.clip_style import ContrastiveEvaluator, sinusoids
 from kinema.interop.checkpoint import Rules, count, require, transfer
 from kinema.interop.representation import fit_statistics, representation_spec
 
@@ -47,14 +46,14 @@ def load(state: Mapping[str, Tensor], *, statistics: Any = None, heads: int = 8,
     return fit_statistics(module, statistics)
 
 
-def export(module: ContrastiveEvaluator) -> dict[str, dict[str, Tensor]]:
-    """Give the entry of a published file; ValueError if the module owns no token embedding or has a projection."""
+def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:
+    """Give the entry of a published file from a ContrastiveEvaluator; ValueError if the module owns no token embedding or has a projection."""
     if module.token_embedding is None or module.token_width != module.motion_encoder.query_token.shape[1]:
         raise ValueError(
             "the published format holds its own token embedding of the transformer's width; build the evaluator with "
             "vocabulary=... and token_width equal to width"
         )
-    state = {"motion_encoder.sequence_pos_encoder.pe": sinusoids(2000, module.token_width)}
+    state = {"motion_encoder.sequence_pos_encoder.pe": module.motion_encoder.positions}
     renames = {
         "text_encoder.transformer.": "textTransEncoder.",
         "text_encoder.": "",

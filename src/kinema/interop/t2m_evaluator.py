@@ -8,10 +8,10 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from kinema.evaluation.encoders.t2m import CONTACTS, MatchingEvaluator
 from kinema.interop.checkpoint import require, transfer
 from kinema.interop.representation import fit_statistics, representation_spec
 
+_CONTACTS = 4
 _INPUTS_WITHOUT_CONTACTS = (259, 247)
 _OURS = ("representation.", "vocabulary_fingerprint")
 
@@ -38,7 +38,7 @@ def load(
     hidden, movement = require(state, "motion_encoder.input_emb.weight", kind=kind).shape
     spec = {
         "_target_": "kinema.evaluation.encoders.t2m.MatchingEvaluator",
-        "representation": representation_spec(inputs + CONTACTS * drop_contacts, variant=variant),
+        "representation": representation_spec(inputs + _CONTACTS * drop_contacts, variant=variant),
         "word_width": require(state, "text_encoder.pos_emb.weight", kind=kind).shape[0],
         "movement_width": width,
         "movement_dim": movement,
@@ -71,8 +71,8 @@ def load_decomposition(state: Mapping[str, Tensor], *, statistics: Any = None, v
     return fit_statistics(transfer(spec, state, rules, kind=kind, ours=_OURS), statistics)
 
 
-def export(module: MatchingEvaluator) -> dict[str, dict[str, Tensor]]:
-    """Give the entries of a published `finest.tar`."""
+def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:
+    """Give the entries of a published `finest.tar` from a MatchingEvaluator."""
     return {name: _part(module, name) for name in ("movement_encoder", "text_encoder", "motion_encoder")}
 
 
