@@ -47,7 +47,10 @@ def load(state: Mapping[str, Tensor], *, statistics: Any = None, heads: int = 8,
 
 
 def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:
-    """Give the entry of a published file from a ContrastiveEvaluator; ValueError if the module owns no token embedding or has a projection."""
+    """Give the entry of a published file from a ContrastiveEvaluator.
+
+    Raises ValueError if it owns no token embedding or projects it.
+    """
     if module.token_embedding is None or module.token_width != module.motion_encoder.query_token.shape[1]:
         raise ValueError(
             "the published format holds its own token embedding of the transformer's width; build the evaluator with "
