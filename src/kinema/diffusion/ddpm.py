@@ -40,13 +40,13 @@ class DDPM(nn.Module):
         """Draw training times: uniform over the steps."""
         return torch.randint(len(self.schedule.betas), shape, generator=generator, device=device)
 
-    def add_noise(self, x1: Float[Tensor, n * d], time: Tensor, noise: Float[Tensor, n * d]) -> Float[Tensor, n * d]:
+    def add_noise(self, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]) -> Float[Tensor, "n *d"]:
         """Noise clean data: sqrt(abar_t) x1 + sqrt(1 - abar_t) noise."""
         shape = (-1,) + (1,) * (x1.ndim - 1)
         return self.signal[time].view(shape) * x1 + self.noise[time].view(shape) * noise
 
     def loss(
-        self, predict: Predict, x1: Float[Tensor, n * d], time: Tensor, noise: Float[Tensor, n * d]
+        self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
         """Give the squared error of the prediction per row, averaged over its dims."""
         output = predict(self.add_noise(x1, time, noise), time)
@@ -63,13 +63,13 @@ class DDPM(nn.Module):
     def sample(
         self,
         predict: Predict,
-        noise: Iterator[Float[Tensor, n * d]],
+        noise: Iterator[Float[Tensor, "n *d"]],
         *,
         solver: str | None = None,
         steps: int | str | None = None,
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
-    ) -> Float[Tensor, n * d]:
+    ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: `noise` yields the start, then (ancestral) one draw per step but the last.
 
         `temperature` scales the step noise; `clip` holds the estimate of the clean data inside (min, max) at every

@@ -34,13 +34,13 @@ class Flow(nn.Module):
         """Draw training times: uniform in [0, 1)."""
         return torch.rand(shape, generator=generator, device=device)
 
-    def add_noise(self, x1: Float[Tensor, n * d], time: Tensor, noise: Float[Tensor, n * d]) -> Float[Tensor, n * d]:
+    def add_noise(self, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]) -> Float[Tensor, "n *d"]:
         """Interpolate between noise and data."""
         time = time.view((-1,) + (1,) * (x1.ndim - 1))
         return time * x1 + (1 - time) * noise
 
     def loss(
-        self, predict: Predict, x1: Float[Tensor, n * d], time: Tensor, noise: Float[Tensor, n * d]
+        self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
         """Give the squared error of the velocity per row, averaged over its dims."""
         output = predict(self.add_noise(x1, time, noise), time)
@@ -49,13 +49,13 @@ class Flow(nn.Module):
     def sample(
         self,
         predict: Predict,
-        noise: Iterator[Float[Tensor, n * d]],
+        noise: Iterator[Float[Tensor, "n *d"]],
         *,
         solver: str | None = None,
         steps: int | None = None,
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
-    ) -> Float[Tensor, n * d]:
+    ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: `noise` yields the start, then ("sde") one draw per step but the last.
 
         `temperature` scales the SDE's noise; `clip` holds the result inside (min, max).

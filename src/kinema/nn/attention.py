@@ -27,7 +27,7 @@ class Attention(nn.Module):
     def forward(
         self,
         x: Float[Tensor, "b q w"],
-        mask: Bool[Tensor, ...] | None = None,
+        mask: Bool[Tensor, "..."] | None = None,
         context: Float[Tensor, "b k w"] | None = None,
     ) -> Float[Tensor, "b q w"]:
         """Attend from `x` to `context` (itself by default); `mask`, True = may be seen, broadcasts to (b, heads, q, k).
