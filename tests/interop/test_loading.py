@@ -107,6 +107,7 @@ class Malicious:
         return os.mkdir, (str(self.path),)
 
 
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
 @pytest.mark.parametrize("write", [torch.save, lambda value, path: path.write_bytes(pickle.dumps(value))])
 def test_code_in_a_file_is_named_and_never_runs(tmp_path, write):
     write({"ae": {}, "payload": Malicious(tmp_path / "ran")}, tmp_path / "latest.tar")
