@@ -23,7 +23,7 @@ def diagnose(target: str | Path | PackedStore, *, source: str | Path | None = No
 
     `source` is the folder that a store was made from: its lists and files are then examined too, and its `index.csv`
     (HumanML3D: source_path, ..., new_name) tells which clips come from one recording. Raises FileNotFoundError if
-    there is nothing at `target`.
+    there is nothing at `target`, or `source` has no split files.
     """
     path = target.path if isinstance(target, PackedStore) else Path(target)
     if path.is_file():
@@ -32,7 +32,9 @@ def diagnose(target: str | Path | PackedStore, *, source: str | Path | None = No
         raise FileNotFoundError(f"{path} is no packed store, corpus folder or .npy file; check the path")
     packed = (path / "manifest.json").is_file() and (path / "features.f32").is_file()
     folder = Path(source) if source is not None else (None if packed else path)
-    findings = list(_lists(folder)) if folder is not None else []
+    if source is not None and not any((Path(source) / f"{s}.txt").is_file() for s in SPLITS):
+        raise FileNotFoundError(f"source {source} has no train.txt, val.txt or test.txt; pass the corpus folder")
+    findings = list(_lists(folder, prepared=packed)) if folder is not None else []
     index = _read_index(folder) if folder is not None else {}
     try:
         patient = from_store(path, index) if packed else from_folder(path, index)
@@ -54,8 +56,11 @@ def _examine(patient: Patient) -> Iterator[Finding]:
     yield from likeness.leakage(patient)
 
 
-def _lists(folder: Path) -> Iterator[Finding]:
-    """Examine the split files against each other and against the files there are."""
+def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
+    """Examine the split files against each other and against the files there are.
+
+    Files that are lacking are told here if a store was `prepared` from the folder; else reading it will tell.
+    """
     listed = {s: _lines(folder / f"{s}.txt") for s in SPLITS}
     where: dict[str, list[str]] = defaultdict(list)
     for split, names in listed.items():
@@ -70,12 +75,10 @@ def _lists(folder: Path) -> Iterator[Finding]:
         return
     present = {f.relative_to(motions).as_posix().removesuffix(".npy") for f in motions.rglob("*.npy")}
     lacking = tuple(name for name in where if name not in present)
-    if lacking:
-        message = f"{len(lacking)} of {len(where)} listed clips have no file in {motions.name}/"
-        fix = "complete the download or extraction, or take them off the lists"
-        yield Finding(
-            "error" if len(lacking) > 0.05 * len(where) else "warning", "missing files", message, fix, lacking
-        )
+    if lacking and prepared:
+        message = f"{len(lacking)} of {len(where)} listed clips have no file in {motions.name}/ any more"
+        fix = "restore them: the store cannot be made again from this folder"
+        yield Finding("warning", "missing files", message, fix, lacking)
     unlisted = tuple(sorted(present - set(where)))
     if unlisted:
         message = f"{len(unlisted)} files of {motions.name}/ are in no split"

@@ -38,7 +38,8 @@ def format(findings: Iterable[Finding]) -> str:
         if finding.fix:
             lines.append(f"{'':8}  fix: {finding.fix}")
     counts = [sum(f.severity == s for f in found) for s in SEVERITIES[:2]]
-    verdict = "nothing is wrong" if not any(counts) else f"{counts[0]} errors, {counts[1]} warnings"
+    told = [f"{n} {s}{'' if n == 1 else 's'}" for n, s in zip(counts, SEVERITIES, strict=False)]
+    verdict = ", ".join(told) if any(counts) else "nothing is wrong"
     return "\n".join([*lines, f"doctor: {verdict}"])
 
 

@@ -50,7 +50,7 @@ def perform(seed: int, index: int, fps: float, *, tags: bool = True) -> Performa
         )
         for _ in chosen
     ]
-    played = [_play(a, plan, style, mirrored) for a, plan in zip(chosen, plans, strict=True)]
+    played = [play(a, plan, style, mirrored) for a, plan in zip(chosen, plans, strict=True)]
     overlap = round(0.3 * fps)
     tracks = played[0].then(played[1], overlap) if sequence else played[0]
     enliven(tracks, plans[0])
@@ -71,7 +71,7 @@ def _pick(rng: np.random.Generator, count: int) -> list[Action]:
     return [usable[i] for i in rng.choice(len(usable), count, replace=False)]
 
 
-def _play(action: Action, plan: Plan, style: str, mirrored: bool) -> Tracks:
+def play(action: Action, plan: Plan, style: str, mirrored: bool) -> Tracks:
     """Perform an action in a style, on the drawn side, and name the sides in the plan's words."""
     tracks = action.perform(plan)
     apply(STYLES[style], tracks, plan)

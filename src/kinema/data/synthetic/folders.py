@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -24,36 +27,53 @@ def format_caption(annotated: AnnotatedCaption) -> str:
 
 def write_joints_folder(clips: Iterable[Clip], path: str | Path) -> Path:
     """Write clips of joints as `joints/`, `texts/`, split files and `manifest.json` (the clips' fields)."""
-    root, names, rows = Path(path), {split: [] for split in SPLITS}, []
-    for clip in clips:
-        joints = _loader(clip)()
-        _write(root, "joints", clip.name, joints, clip.captions)
-        names[clip.split].append(clip.name)
-        rows.append({"name": clip.name, **clip.fields, "frames": len(joints), "split": clip.split})
-    _write_splits(root, names)
-    (root / "manifest.json").write_text(json.dumps(rows, indent=0), encoding="utf-8")
-    return root
+    names, rows = {split: [] for split in SPLITS}, []
+    with _whole(Path(path)) as root:
+        for clip in clips:
+            joints = _loader(clip)()
+            _write(root, "joints", clip.name, joints, clip.captions)
+            names[clip.split].append(clip.name)
+            rows.append({"name": clip.name, **clip.fields, "frames": len(joints), "split": clip.split})
+        _write_splits(root, names)
+        (root / "manifest.json").write_text(json.dumps(rows, indent=0), encoding="utf-8")
+    return Path(path)
 
 
 def write_official_folder(clips: Iterable[Clip], path: str | Path, skeleton: str = "humanml3d") -> Path:
     """Write clips of joints as HumanML3D and KIT-ML are laid out, mirrored clips (`MNAME`) and statistics included."""
-    root, names, kind, rows = Path(path), {split: [] for split in SPLITS}, get_skeleton(skeleton), []
+    names, kind, rows = {split: [] for split in SPLITS}, get_skeleton(skeleton), []
     target = None if kind.bone_lengths is None else "skeleton"
-    for clip in clips:
-        joints = _loader(clip)()
-        for name, motion, captions in (
-            (clip.name, joints, clip.captions),
-            (f"M{clip.name}", mirror_joints(joints, kind), [c.mirrored() for c in clip.captions]),
-        ):
-            features = extract(motion, kind, target_bone_lengths=target)
-            _write(root, "new_joint_vecs", name, features, captions)
-            names[clip.split].append(name)
-            rows.append(features)
-    _write_splits(root, names)
-    statistics = Statistics.compute(rows, kind)
-    np.save(root / "Mean.npy", statistics.mean.astype(np.float32))
-    np.save(root / "Std.npy", statistics.std.astype(np.float32))
-    return root
+    with _whole(Path(path)) as root:
+        for clip in clips:
+            joints = _loader(clip)()
+            for name, motion, captions in (
+                (clip.name, joints, clip.captions),
+                (f"M{clip.name}", mirror_joints(joints, kind), [c.mirrored() for c in clip.captions]),
+            ):
+                features = extract(motion, kind, target_bone_lengths=target)
+                _write(root, "new_joint_vecs", name, features, captions)
+                names[clip.split].append(name)
+                rows.append(features)
+        _write_splits(root, names)
+        statistics = Statistics.compute(rows, kind)
+        np.save(root / "Mean.npy", statistics.mean.astype(np.float32))
+        np.save(root / "Std.npy", statistics.std.astype(np.float32))
+    return Path(path)
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """Give a folder to write to that becomes `path` at the end, or nothing. Raises ValueError if something is there."""
+    if path.exists():
+        raise ValueError(f"{path} exists already; delete it or choose another folder")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.mkdir()
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _loader(clip: Clip) -> Callable[[], np.ndarray]:
