@@ -77,7 +77,8 @@ class Step(torch.nn.Module):
         self.model = model
 
     def forward(self, batch):
-        return self.model.loss(batch, generator=torch.Generator().manual_seed(3))["loss"]
+        shard = (dist.get_rank(), dist.get_world_size()) if dist.is_initialized() else (0, 1)
+        return self.model.loss(batch, generator=torch.Generator().manual_seed(3), shard=shard)["loss"]
 
 
 def measure(rank, world):

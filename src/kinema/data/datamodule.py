@@ -82,14 +82,16 @@ class MotionDataModule(L.LightningDataModule):
         return self._loader(dataset, sampler)
 
     def val_dataloader(self) -> DataLoader:
-        """Give the validation batches: the same items, crops and captions every time."""
+        """Give the validation batches: the same items, crops and captions every time.
+
+        Every rank validates all of them, so that the loss which selects weights does not depend on the number of ranks
+        (contrastive losses depend on what shares a batch).
+        """
         dataset = self.dataset("val")
         count = len(dataset) if self.val_limit is None else min(self.val_limit, len(dataset))
         chosen = np.linspace(0, len(dataset) - 1, count).round().astype(int).tolist()
         items = [(index, item_seed(VALIDATION_SEED, 0, index)) for index in chosen]
         batches = [items[i : i + self.val_batch_size] for i in range(0, count, self.val_batch_size)]
-        if self.trainer is not None:
-            batches = batches[self.trainer.global_rank :: self.trainer.world_size]
         return self._loader(dataset, batches)
 
     def test_batches(

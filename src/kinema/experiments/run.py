@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import traceback
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from kinema.experiments.corpus import manifest, open_corpus
 from kinema.experiments.identity import fingerprint, stage_identity
 from kinema.experiments.runs import RunFolder, console, global_rank, versions, write_json
 from kinema.experiments.stages import STAGES, Stage, label
+
+WRITE_SECONDS = 600
+"""How long other ranks wait for rank 0 to write a stage's weights before the next stage reads them."""
 
 
 def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
@@ -64,7 +68,11 @@ def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstr
 
     if not folder.done:
         train_stage(cfg, stage, store, folder, upstream)
-    return folder
+    for _ in range(WRITE_SECONDS * 10):
+        if folder.done:
+            return folder
+        time.sleep(0.1)
+    raise TimeoutError(f"rank 0 has not written {folder.weights} within {WRITE_SECONDS} s; see its own output")
 
 
 def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> None:

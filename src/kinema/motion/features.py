@@ -136,7 +136,7 @@ def _wrapped(angles: Float[np.ndarray, " t"]) -> Float[np.ndarray, " t"]:
     return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
-def _flat(values: Float[np.ndarray, t * n]) -> Float[np.ndarray, "t m"]:
+def _flat(values: Float[np.ndarray, "t *n"]) -> Float[np.ndarray, "t m"]:
     return values.reshape(len(values), -1)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 
@@ -18,7 +18,7 @@ def sinusoidal_positions(
     return torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(1)[:, :width]
 
 
-def timestep_embedding(time: Float[Tensor, " n"], width: int = 256) -> Float[Tensor, "n width"]:
+def timestep_embedding(time: Shaped[Tensor, " n"], width: int = 256) -> Float[Tensor, "n width"]:
     """Embed times as [cos(t f_i), sin(t f_i)], f_i = 10000^(-i / (width/2)) (MARDM §5; the time enters unscaled)."""
     half = width // 2
     frequency = torch.exp(torch.arange(half, device=time.device) * (-math.log(10000.0) / half))

@@ -17,6 +17,18 @@ from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord
 from kinema.training.checkpoint import AtomicCheckpointIO
 from kinema.training.modules import StageModule
 
+HARMLESS = (
+    "does not have many workers",
+    "mid-epoch",
+    "not stateful",
+    "resumable",
+    "LeafSpec",
+    "in eval mode",
+    "logging interval",
+    "is not empty",
+)
+"""Warnings of Lightning that say nothing of our runs: data are gathered from a map, and batches follow from the step."""
+
 
 @dataclass(frozen=True)
 class Machine:
@@ -87,8 +99,8 @@ def fit(
     if machine.compile:
         module.compile_loss()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".*does not have many workers.*")
-        warnings.filterwarnings("ignore", message=".*mid-epoch.*|.*not stateful.*|.*resumable.*|.*LeafSpec.*|.*in eval mode.*|.*logging interval.*")
+        for harmless in HARMLESS:
+            warnings.filterwarnings("ignore", message=f".*{harmless}.*")
         trainer.fit(module, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
     if trainer.interrupted or trainer.global_step < recipe.steps:
         raise InterruptedError(f"training stopped at step {trainer.global_step} of {recipe.steps}; run again to resume")

@@ -128,13 +128,13 @@ class ContrastiveEvaluator(TextMotionEvaluator):
     ) -> Losses:
         """Give the symmetric cross entropy over the batch of all ranks.
 
-        Every rank computes the whole loss from gathered embeddings, so `shard` changes nothing; there is nothing to
-        draw from `generator`.
+        `shard` = (rank, ranks that share the batch); each of them computes the whole loss from gathered embeddings.
+        There is nothing to draw from `generator`.
         """
-        motion, text = gather(self.embed_motion(batch)), gather(self.embed_text(batch.captions))
+        motion, text = (gather(x, shard[1]) for x in (self.embed_motion(batch), self.embed_text(batch.captions)))
         logits = self.logit_scale.exp() * motion @ text.T
         if self.mask_duplicates:
-            keys = gather(caption_keys(batch.texts, text.device))
+            keys = gather(caption_keys(batch.texts, text.device), shard[1])
             logits = logits.masked_fill(false_negatives(keys), -torch.inf)
         return {"loss": symmetric_cross_entropy(logits), "logit_scale": self.logit_scale.detach().exp()}
 

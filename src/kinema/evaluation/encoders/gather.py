@@ -10,13 +10,15 @@ from jaxtyping import Shaped
 from torch import Tensor
 
 
-def gather(values: Shaped[Tensor, b * d]) -> Shaped[Tensor, w * d]:
+def gather(values: Shaped[Tensor, "b *d"], world: int) -> Shaped[Tensor, "w *d"]:
     """Concatenate every rank's rows in rank order; gradients flow back to the rank they belong to.
+
+    `world` is the number of ranks that share the batch: 1 where each has all of it (validation).
 
     Ranks may hold different numbers of rows. Every rank then computes the same loss, so the gradient of a parameter,
     averaged by DDP, is that of one process with the whole batch.
     """
-    if not (dist.is_available() and dist.is_initialized()) or dist.get_world_size() == 1:
+    if world == 1:
         return values
     return _Gather.apply(values)
 

@@ -134,14 +134,14 @@ class MatchingEvaluator(TextMotionEvaluator):
     ) -> Losses:
         """Contrast over the batch of all ranks; `generator` must be in the same state on each of them.
 
-        Every rank computes the whole loss from gathered embeddings, so `shard` changes nothing.
+        `shard` = (rank, ranks that share the batch); each of them computes the whole loss from gathered embeddings.
         """
         codes = self.movements(batch) if movements is None else movements
-        motion = gather(self._embed_movements(codes, batch))
-        text = gather(self.embed_text(batch.captions))
+        motion = gather(self._embed_movements(codes, batch), shard[1])
+        text = gather(self.embed_text(batch.captions), shard[1])
         if self.objective == "infonce":
-            return self._infonce(text, motion, gather(caption_keys(batch.texts, text.device)))
-        return self._margin(text, motion, gather(batch.lengths), generator)
+            return self._infonce(text, motion, gather(caption_keys(batch.texts, text.device), shard[1]))
+        return self._margin(text, motion, gather(batch.lengths, shard[1]), generator)
 
     def _margin(self, text: Tensor, motion: Tensor, lengths: Tensor, generator: torch.Generator | None) -> Losses:
         """Give mean d(t_i, m_i)^2 + mean max(0, margin - d(t_i, m_(i+s)))^2 (T2M_EVALUATOR §4)."""

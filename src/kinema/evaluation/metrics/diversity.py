@@ -86,7 +86,7 @@ def draw_pairs(count: int, pairs: int, seed: int) -> tuple[Int[Tensor, " p"], In
 
 
 def mean_distance(
-    embeddings: Float[Tensor, n * e], first: Int[Tensor, " p"], second: Int[Tensor, " p"]
+    embeddings: Float[Tensor, "n *e"], first: Int[Tensor, " p"], second: Int[Tensor, " p"]
 ) -> Float[Tensor, ""]:
     """Average the distances of given pairs."""
     return (embeddings[first] - embeddings[second]).norm(dim=-1).mean()

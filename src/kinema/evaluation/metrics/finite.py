@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def require_finite(values: Float[Tensor, b * d], what: str, names: Sequence[str] = ()) -> None:
+def require_finite(values: Float[Tensor, "b *d"], what: str, names: Sequence[str] = ()) -> None:
     """Raise ValueError that names the first rows that hold NaN or infinity (by number without `names`)."""
     bad = (~torch.isfinite(values)).flatten(1).any(dim=1).nonzero().flatten().tolist()
     if bad:

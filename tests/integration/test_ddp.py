@@ -1,0 +1,46 @@
+"""Train on two processes (gloo): the losses and weights of one process at the same global batch."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from kinema.experiments.config import compose, refuse_ddp_in_multirun
+from kinema.experiments.run import run_stage
+
+STAGE_NODE = {"generator": "generator", "matching": "evaluator.matching"}
+UPSTREAM = {"generator": "tokenizer", "matching": "decomposition"}
+
+
+def validation_losses(run: Path) -> list[float]:
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    return [line["val/loss"] for line in lines if "val/loss" in line]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["generator", "matching"])
+def test_two_processes_train_like_one(stage, overrides, script, tmp_path: Path):
+    # Dropout draws differ between ranks by nature; everything else is drawn for the global batch.
+    same = [*overrides, "generator.model.dropout=0", f"{STAGE_NODE[stage]}.train.val_batches=2"]
+    alone = run_stage(compose([*same, f"paths.runs={tmp_path}/alone"]), stage)
+    # What comes before was trained with dropout: on one process here, so that both start from the same.
+    run_stage(compose([*same, f"paths.runs={tmp_path}/two"]), UPSTREAM[stage])
+    two = ["trainer.devices=2", "trainer.strategy=ddp", f"paths.runs={tmp_path}/two", f"stage={stage}"]
+    script("train.py", *same[len(overrides) :], *two)
+    (together,) = (tmp_path / "two" / stage).iterdir()
+    assert together.name == alone.path.name
+    assert validation_losses(together) == pytest.approx(validation_losses(alone.path), rel=1e-3)
+    ours, theirs = load_file(together / "weights.safetensors"), load_file(alone.weights)
+    for name, value in theirs.items():
+        torch.testing.assert_close(ours[name], value, rtol=1e-2, atol=1e-4, msg=name)
+
+
+def test_ddp_inside_a_sweep_is_refused():
+    with pytest.raises(ValueError, match="ddp_spawn"):
+        refuse_ddp_in_multirun(compose(["trainer=ddp"]), multirun=True)
+    refuse_ddp_in_multirun(compose(["trainer=ddp", "trainer.strategy=ddp_spawn"]), multirun=True)
+    refuse_ddp_in_multirun(compose(["trainer=ddp"]), multirun=False)
