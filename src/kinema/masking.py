@@ -14,8 +14,8 @@ def cosine_ratio(time: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     return torch.cos(time * math.pi * 0.5)
 
 
-def masked_count(lengths: Int[Tensor, "*b"], ratio: Float[Tensor, "*b"]) -> Int[Tensor, "*b"]:
-    """Count the positions to mask: max(1, round half to even (length * ratio))."""
+def masked_count(lengths: Int[Tensor, "..."], ratio: Float[Tensor, "..."]) -> Int[Tensor, "..."]:
+    """Count the positions to mask: max(1, round half to even (length * ratio)); the shapes broadcast."""
     return (lengths * ratio).round().clamp(min=1).long()
 
 

@@ -19,6 +19,6 @@ def test_halves_are_combined(scale):
 def test_scale_one_is_a_single_plain_pass():
     rows = []
     condition = torch.randn(3, 2)
-    result = guided(lambda x, t, c: rows.append(len(x)) or c, condition, None, 1)(torch.randn(3, 2), torch.zeros(1))
+    result = guided(lambda x, t, c: rows.append(len(x)) or c, condition, None, 1.0)(torch.randn(3, 2), torch.zeros(1))
     assert rows == [3]
     assert torch.equal(result, condition)

@@ -124,7 +124,7 @@ DDPM_SAMPLES = {
 def guided_mlp(mlp: DiffusionMLP, z: Tensor, golden: dict[str, Tensor], name: str):
     """Give the initial noise and the guided (z holds both halves) or plain network of a recorded sample."""
     if name == "nocfg":
-        return golden["rng.nocfg.noise0"], guided(mlp, z, None, 1)
+        return golden["rng.nocfg.noise0"], guided(mlp, z, None, 1.0)
     return golden["rng.cfg.noise0"], guided(mlp, z[:4], z[4:], 4.5)
 
 

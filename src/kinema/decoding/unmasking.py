@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,6 +15,7 @@ from kinema.masking import ranks
 NOISE_BLOCK = 8
 
 
+@runtime_checkable
 class Draws(Protocol):
     """Everything random in a generation: the order of the positions and the noise of the sampled ones."""
 

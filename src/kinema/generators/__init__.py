@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Int
@@ -11,6 +11,7 @@ from torch import Tensor
 from kinema.types import Known, Latents, Losses, TextFeatures
 
 
+@runtime_checkable
 class Generator(Protocol):
     """What every text-to-latents model offers; its `sampling` is the frozen dataclass of its family."""
 
