@@ -1,8 +1,11 @@
-"""Share the fixtures: the reference folder and one thread, so that floats do not depend on the machine."""
+"""Share the fixtures: the reference folder, one thread, and micro runs on a few dozen synthetic clips."""
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,6 +14,62 @@ import torch
 ROOT = Path(__file__).resolve().parent.parent
 
 torch.set_num_threads(1)
+
+MICRO = [
+    "data=synthetic",
+    "data.options.size=160",
+    "text=hashed",
+    "evaluator.words=hashed",
+    "evaluator.tokens=hashed",
+    "trainer=cpu",
+    "trainer.progress=none",
+    "tokenizer.train.steps=24",
+    "generator.train.steps=24",
+    "generator.model.dropout=0.1",
+    "length.train.steps=8",
+    "evaluator.decomposition.train.steps=8",
+    "evaluator.matching.train.steps=24",
+    "evaluator.contrastive.train.steps=8",
+    "scale.protocol.mm_texts=4",
+    "scale.protocol.pool=8",
+]
+for stage in ("tokenizer", "generator", "evaluator.matching"):
+    MICRO += [f"{stage}.train.validate_every=8", f"{stage}.train.checkpoint_every=5", f"{stage}.train.val_batches=1"]
+
+Script = Callable[..., subprocess.CompletedProcess]
+
+
+@pytest.fixture(scope="session")
+def shelf(tmp_path_factory) -> Path:
+    """Give a folder for stores and caches that the tests of a session share."""
+    return tmp_path_factory.mktemp("kinema")
+
+
+@pytest.fixture
+def overrides(shelf: Path, tmp_path: Path) -> list[str]:
+    """Give the overrides of a micro run whose runs are the test's own."""
+    return [*MICRO, f"paths.runs={tmp_path}/runs", f"paths.stores={shelf}/stores", f"paths.cache={shelf}/cache"]
+
+
+@pytest.fixture
+def script(overrides: list[str]) -> Script:
+    """Run train.py, evaluate.py or a snippet in a process of its own; returns the completed process."""
+
+    def run(name: str, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
+        command = [sys.executable, name, *overrides, *arguments]
+        done = subprocess.run(
+            command, cwd=ROOT, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        )
+        assert not check or done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
+        return done
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def micro(shelf: Path) -> list[str]:
+    """Give the overrides of micro runs that all tests share: whoever needs one first trains it."""
+    return [*MICRO, f"paths.runs={shelf}/runs", f"paths.stores={shelf}/stores", f"paths.cache={shelf}/cache"]
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.run import run_stage, stage_folder
-from kinema.experiments.runs import RunFolder, append_line, console, read_lines, versions
+from kinema.experiments.runs import RunFolder, append_line, console, read_lines, upstream, versions
 from kinema.experiments.stages import STAGES
 
 NEEDS = {"real": (), "shuffled": (), "nearest": (), "noise": ("tokenizer",), "reconstruction": ("tokenizer",)}
@@ -65,9 +66,13 @@ def describe(cfg: DictConfig) -> Row:
 
 
 def _identity_of(run: Path) -> str:
-    """Identify a run: by its name (which ends in its fingerprint), an imported one by its weights."""
-    status = RunFolder(run).status
-    return str(status.get("weights_sha256", run.name))
+    """Identify a run: one of ours by its name, which ends in its fingerprint, an imported one by its weights."""
+    if (run / "config.yaml").exists() or not (run / "weights.safetensors").exists():
+        return run.name
+    digest = hashlib.sha256((run / "weights.safetensors").read_bytes())
+    for link in upstream(run).values():
+        digest.update(_identity_of(link).encode())
+    return digest.hexdigest()
 
 
 def run_evaluation(cfg: DictConfig) -> Row:

@@ -14,8 +14,8 @@ from kinema.experiments.config import plain
 from kinema.experiments.stages import Stage
 from kinema.text.cache import CachedTextEncoder
 from kinema.text.encoders import build_text_encoder
-from kinema.text.tokens import clip_tokens
-from kinema.text.words import word_vectors
+from kinema.text.tokens import TokenTable, clip_tokens
+from kinema.text.words import WordVectors, word_vectors
 
 
 def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
@@ -24,9 +24,10 @@ def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
     spec = dict(node["model"])
     if "sampling" in node:
         spec["sampling"] = node["sampling"]
+    if stage.name == "matching":
+        spec["word_width"] = vocabulary(cfg, stage).width
     if stage.name == "contrastive":
-        table = clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
-        spec["token_width"] = table.embedding.shape[1]
+        spec["token_width"] = vocabulary(cfg, stage).embedding.shape[1]
     return spec
 
 
@@ -50,16 +51,15 @@ def encode_captions(text: CachedTextEncoder, store: PackedStore, *splits: str) -
     return text
 
 
-def attach_text(cfg: DictConfig, stage: Stage, model: nn.Module) -> str:
-    """Attach an evaluator's word vectors or token table; give its identity, which results name."""
+def vocabulary(cfg: DictConfig, stage: Stage) -> WordVectors | TokenTable:
+    """Give an evaluator's word vectors (T2M-style) or token table (CLIP-style); its models' width follows them."""
     if stage.name == "contrastive":
-        table = clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
-    else:
-        table = word_vectors(cfg.evaluator.words, path=cfg.evaluator.words_path)
-        if table.width != cfg.evaluator.word_width:
-            raise ValueError(
-                f"evaluator.word_width={cfg.evaluator.word_width}, but the vectors {table.identity} have width "
-                f"{table.width}; set evaluator.word_width={table.width}"
-            )
+        return clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
+    return word_vectors(cfg.evaluator.words, path=cfg.evaluator.words_path)
+
+
+def attach_text(cfg: DictConfig, stage: Stage, model: nn.Module) -> str:
+    """Attach an evaluator's vocabulary; give its identity, which results name."""
+    table = vocabulary(cfg, stage)
     model.attach(table)
     return table.identity

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from kinema.experiments.config import CONF
-from kinema.experiments.runs import RunFolder, console
+from kinema.experiments.runs import RunFolder, console, upstream
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
 
 ROOT = CONF.parent
@@ -27,7 +27,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     try:
         reproduce(options.table, options.overrides, render_only=options.render_only, out=options.out)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         sys.exit(f"error: {error}")
 
 
@@ -93,17 +93,10 @@ def _lacks(row: TableRow, stage: str) -> bool:
 def total_seconds(rows: list[TableRow]) -> float:
     """Add the recorded seconds of every run and replication behind the table, each once."""
     runs = {path for row in rows if row.place for path in row.place.runs.values()}
-    runs |= {(path / link).resolve() for path in list(runs) for link in _links(path)}
+    runs |= {path for run in list(runs) for path in upstream(run).values()}
     training = sum(RunFolder(path).status.get("seconds", 0.0) for path in {p.resolve() for p in runs})
     places = {row.place.folder.path: row.place for row in rows if row.place}
     return training + sum(line["seconds"] for place in places.values() for line in place.lines)
-
-
-def _links(run: Path) -> list[str]:
-    import json
-
-    file = run / "upstream.json"
-    return list(json.loads(file.read_text()).values()) if file.exists() else []
 
 
 if __name__ == "__main__":

@@ -91,6 +91,13 @@ def versions() -> dict[str, str]:
     return found
 
 
+def upstream(run: Path) -> dict[str, Path]:
+    """Read which runs a run was trained on (its upstream.json; links are relative to the run)."""
+    file = run / "upstream.json"
+    links = json.loads(file.read_text()) if file.exists() else {}
+    return {name: (run / link).resolve() for name, link in links.items()}
+
+
 def append_line(path: Path, value: dict[str, Any]) -> None:
     """Append one JSON line, ending a torn last line first so that it can't swallow this one."""
     path.parent.mkdir(parents=True, exist_ok=True)

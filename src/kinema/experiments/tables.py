@@ -100,8 +100,10 @@ def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
     return {**found, "command": command}
 
 
-def _results(row: TableRow) -> list[dict[str, Any]]:
-    """Give the metrics by replication, none at all where a replication is missing."""
+def _results(row: TableRow) -> list[dict[str, Any]] | None:
+    """Give the metrics by replication: an empty list where one is missing, None where the method isn't in Kinema."""
+    if row.place is None:
+        return None
     if not row.complete:
         return []
     renamed = row.spec.get("metrics")
@@ -109,13 +111,13 @@ def _results(row: TableRow) -> list[dict[str, Any]]:
     return [{key: m[name] for key, name in renamed.items()} for m in metrics] if renamed else metrics
 
 
-def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, Any]]) -> dict[str, Any]:
+def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:
     spec = row.spec
     return {
         "key": spec["key"],
         "label": spec["label"],
         "kind": spec["kind"],
-        "note": spec.get("note", "" if "source" in spec else "this method is not in Kinema yet"),
+        "note": spec.get("note", ""),
         "published": published.get(spec["key"]),
         "results": results,
     }
@@ -134,7 +136,7 @@ BREAKDOWN_COLUMNS = [
 ]
 
 
-def _breakdowns(rows: list[TableRow], results: dict[str, list]) -> list[dict[str, Any]]:
+def _breakdowns(rows: list[TableRow], results: dict[str, list | None]) -> list[dict[str, Any]]:
     """Give one table per manifest field: every row's metrics by the field's values."""
     fields: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
