@@ -20,7 +20,7 @@ def main(cfg: DictConfig) -> None:
 
     try:
         run_evaluation(cfg)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         if cfg.debug.enabled:
             raise
         sys.exit(f"error: {error}")

@@ -21,7 +21,7 @@ def main(cfg: DictConfig) -> None:
     refuse_ddp_in_multirun(cfg, multirun=hydra.core.hydra_config.HydraConfig.get().mode.name == "MULTIRUN")
     try:
         run_stage(cfg, cfg.stage)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         if cfg.debug.enabled:
             raise
         sys.exit(f"error: {error}")

@@ -23,7 +23,7 @@ from kinema.experiments.instantiate import attach_text, encode_captions, read_mo
 from kinema.experiments.stages import STAGES
 from kinema.motion.recovery import recover_joints
 from kinema.text.cache import CachedTextEncoder
-from kinema.training.fit import devices_available
+from kinema.training.fit import find_device
 from kinema.types import MotionBatch
 
 SAMPLES = 6
@@ -39,7 +39,7 @@ class Scorer:
 
     def __init__(self, cfg: DictConfig, runs: dict[str, Path], store_path: Path) -> None:
         self.cfg = cfg
-        self.device = devices_available() if cfg.trainer.accelerator == "auto" else cfg.trainer.accelerator
+        self.device = find_device(cfg.trainer.accelerator)
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
         self.data = MotionDataModule(store_path, kind="clips", batch_size=self.protocol.pool, steps=1, seed=cfg.seed)

@@ -23,7 +23,7 @@ from kinema.experiments.samples import sample_drawer
 from kinema.experiments.stages import Stage
 from kinema.motion.representation import Representation
 from kinema.training.callbacks import Samples
-from kinema.training.fit import Machine, devices_available, fit
+from kinema.training.fit import Machine, find_device, fit
 from kinema.training.latents import LatentCache
 from kinema.training.modules import EvaluatorModule, GeneratorModule, StageModule, TokenizerModule, step_seed
 from kinema.training.recipe import Recipe
@@ -33,6 +33,7 @@ def train_stage(
     cfg: DictConfig, stage: Stage, store_path: Path, folder: RunFolder, upstream: dict[str, RunFolder]
 ) -> dict[str, Any]:
     """Fit a stage and write its weights; returns what status.json keeps (seconds, step, validation loss)."""
+    machine, device = Machine(**plain(cfg.trainer)), find_device(cfg.trainer.accelerator)
     store = PackedStore.open(store_path)
     node = plain(stage.config(cfg))
     recipe = make_recipe(node["train"], store_path, debug_steps=cfg.debug.steps)
@@ -57,7 +58,6 @@ def train_stage(
     if stage.name == "generator" and cfg.callbacks.samples_every:
         draw = sample_drawer(cfg, store, read_model(upstream["tokenizer"].path)[0], module.text.value)
         extra = [Samples(folder.path / "samples", cfg.callbacks.samples_every, draw)]
-    machine = Machine(**plain(cfg.trainer))
     with loggers(cfg, folder) as attached:
         fitted = fit(module, data, folder.path, machine, callbacks=extra, loggers=attached)
     summary = {
@@ -65,7 +65,7 @@ def train_stage(
         "step": fitted.step,
         "val_loss": fitted.val_loss,
         "parameters": sum(p.numel() for p in model.parameters() if p.requires_grad),
-        "device": _device(cfg),
+        "device": device,
     }
     if global_rank() > 0:
         return summary
@@ -110,13 +110,14 @@ def make_module(
         if "decomposition" in upstream:
             model.load_movement(read_model(upstream["decomposition"].path)[0])
         return EvaluatorModule(model, recipe, cfg.seed)
-    text = encode_captions(text_encoder(cfg, _device(cfg)), store, "train", "val")
+    device = find_device(cfg.trainer.accelerator)
+    text = encode_captions(text_encoder(cfg, device), store, "train", "val")
     latents: Any = crop_frames
     if stage.name == "generator":
         tokenizer, _ = read_model(upstream["tokenizer"].path)
         clips = [ClipDataset(store, split) for split in ("train", "val")]
         # Runs on one tokenizer and corpus share the cache: it belongs to the tokenizer's run.
-        cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, _device(cfg))
+        cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, device)
         latents = cache
         model.set_latent_range(*cache.range())
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
@@ -127,9 +128,3 @@ def crop_frames(batch: Any) -> Any:
     from kinema.types import Latents
 
     return Latents(lengths=batch.lengths // 4, frames=batch.lengths)
-
-
-def _device(cfg: DictConfig) -> str:
-    if cfg.trainer.accelerator in ("auto", "gpu"):
-        return devices_available()
-    return {"cuda": "cuda", "mps": "mps"}.get(cfg.trainer.accelerator, "cpu")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         """Read a checkpoint; a truncated one is named together with what to do."""
         try:
             return torch.load(path, map_location=map_location or "cpu", weights_only=True)
-        except (RuntimeError, EOFError, OSError, ValueError) as error:
+        except (RuntimeError, EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
             raise ValueError(
                 f"checkpoint {path} cannot be read ({error}); delete it to train this stage from the start"
             ) from error

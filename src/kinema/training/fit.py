@@ -27,7 +27,9 @@ HARMLESS = (
     "logging interval",
     "is not empty",
 )
-"""Warnings of Lightning that say nothing of our runs: data are gathered from a map, and batches follow from the step."""
+"""Warnings of Lightning that say nothing of our runs: data come from a map, and batches follow from the step."""
+
+BARS = {"rich": RichProgressBar, "tqdm": TQDMProgressBar}
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,10 @@ class Machine:
     progress: str = "rich"
     log_every: int = 50
     extra: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.progress not in (*BARS, "none"):
+            raise ValueError(f"trainer.progress={self.progress!r}; allowed: {', '.join(BARS)}, none")
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,7 @@ def fit(
     last = folder / "checkpoints" / "last.ckpt"
     saver = Checkpoints(last, recipe.checkpoint_every, recipe.validate_every)
     averaging = [EMA(recipe.ema, recipe.ema_warmup)] if recipe.ema else []
-    bars = {"rich": [RichProgressBar()], "tqdm": [TQDMProgressBar()], "none": []}[machine.progress]
+    bars = [BARS[machine.progress]()] if machine.progress != "none" else []
     trainer = Trainer(
         accelerator=machine.accelerator,
         devices=machine.devices,
@@ -111,8 +117,21 @@ def fit(
     return Fitted(weights, trainer.global_step, record.seconds, None if loss is None else float(loss))
 
 
-def devices_available() -> str:
-    """Name the accelerator that `auto` stands for here."""
-    if torch.cuda.is_available():
-        return "cuda"
-    return "mps" if torch.backends.mps.is_available() else "cpu"
+ACCELERATORS = {
+    "auto": ("cuda", "mps", "cpu"),
+    "gpu": ("cuda", "mps"),
+    "cuda": ("cuda",),
+    "mps": ("mps",),
+    "cpu": ("cpu",),
+}
+
+
+def find_device(accelerator: str) -> str:
+    """Name the torch device that an accelerator stands for here; raises ValueError for one that isn't there."""
+    if accelerator not in ACCELERATORS:
+        raise ValueError(f"trainer.accelerator={accelerator!r}; allowed: {', '.join(ACCELERATORS)}")
+    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available(), "cpu": True}
+    for device in ACCELERATORS[accelerator]:
+        if there[device]:
+            return device
+    raise ValueError(f"trainer.accelerator={accelerator} is not to be had on this machine; use trainer=cpu")
