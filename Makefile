@@ -31,7 +31,7 @@ bench: $(STAMP)
 	for script in benchmarks/*.py; do echo "== $$script"; $(PY) $$script || exit 1; done
 
 doctor: $(STAMP)
-	$(VENV)/bin/kinema doctor $(ARGS)
+	$(PY) -m kinema.experiments.doctor data=$(DATA) $(ARGS)
 
 # make reproduce-table5, ...: one file of conf/table each.
 reproduce-%: $(STAMP)

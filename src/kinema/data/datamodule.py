@@ -92,6 +92,8 @@ class MotionDataModule(L.LightningDataModule):
         chosen = np.linspace(0, len(dataset) - 1, count).round().astype(int).tolist()
         items = [(index, item_seed(VALIDATION_SEED, 0, index)) for index in chosen]
         batches = [items[i : i + self.val_batch_size] for i in range(0, count, self.val_batch_size)]
+        if len(batches) > 1 and len(batches[-1]) == 1:  # a contrastive loss is of two at least
+            batches[-2] += batches.pop()
         return self._loader(dataset, batches)
 
     def test_batches(
