@@ -122,6 +122,9 @@ def run(folder: Path, clips: int, baseline_clips: int) -> None:
     results[f"   scaled to {clips}"] = scale
     for name, found in results.items():
         print(f"{name:32} {found['seconds']:8.3f} s {found['private MB']:10.1f} MB private")
+    opened, own = results["open and read one entry"], max(s["private MB"] for s in served)
+    print(f"ratio {scale['seconds'] / opened['seconds']:.0f} in seconds to the first entry")
+    print(f"ratio {scale['private MB'] / max(own, 1):.0f} in private memory while serving")
 
 
 def main() -> None:

@@ -22,11 +22,12 @@ def texts_of(count: int) -> list[str]:
     return [" ".join(words[i] for i in row) + f" {n}" for n, row in enumerate(draw)]
 
 
-def clock(name: str, count: int, call) -> None:
+def clock(name: str, count: int, call) -> float:
     start = time.perf_counter()
     call()
     seconds = time.perf_counter() - start
     print(f"{name:32s} {seconds:8.3f} s {count / seconds:12,.0f} texts/s {1e6 * seconds / count:9.2f} us/text")
+    return seconds / count
 
 
 def main() -> None:
@@ -35,7 +36,7 @@ def main() -> None:
     encoder = build_text_encoder(name)
     encoder(["load the weights"])
     print(f"{torch.get_num_threads()} threads, {count} texts in the cache")
-    clock(f"{name}: encode", 512, lambda: encoder(texts_of(512)))
+    encoding = clock(f"{name}: encode", 512, lambda: encoder(texts_of(512)))
     texts = texts_of(count)
     order = np.random.default_rng(1).integers(0, count, (ROUNDS, BATCH))
     batches = [[texts[i] for i in row] for row in order]
@@ -50,7 +51,9 @@ def main() -> None:
             cache = CachedTextEncoder(wide, folder, tokens)
             clock(f"tokens={tokens}: open", count, lambda c=cache: c.features)
             for attempt in ("first", "again"):
-                clock(f"tokens={tokens}: look up {attempt}", ROUNDS * BATCH, lambda c=cache: [c(b) for b in batches])
+                called = f"tokens={tokens}: look up {attempt}"
+                looking = clock(called, ROUNDS * BATCH, lambda c=cache: [c(b) for b in batches])
+            print(f"ratio {encoding / looking:,.0f} of encoding to looking up")
 
 
 if __name__ == "__main__":
