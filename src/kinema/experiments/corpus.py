@@ -1,4 +1,4 @@
-"""Find or make the packed store that a configuration's `data` group describes (no torch)."""
+"""Find or make the packed store that a configuration's `data` group describes."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ class Row:
 
 
 def describe(cfg: DictConfig) -> Row:
-    """Find the folder of an evaluation without running anything (no torch)."""
+    """Find the folder of an evaluation without running anything."""
     validate(cfg)
     store = open_corpus(cfg)
     corpus = manifest(store)["hash"]

@@ -1,4 +1,4 @@
-"""Read the motions that an evaluation kept to be watched (no torch)."""
+"""Read the motions that an evaluation kept to be watched."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read a table's description, find its rows' results, and render them beside the published numbers (no torch)."""
+"""Read a table's description, find its rows' results, and render them beside the published numbers."""
 
 from __future__ import annotations
 

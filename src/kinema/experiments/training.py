@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.pytorch import Callback
 from omegaconf import DictConfig
 from torch import nn
 
@@ -17,7 +16,6 @@ from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import attach_text, encode_captions, model_spec, read_model, text_encoder
-from kinema.experiments.loggers import loggers
 from kinema.experiments.runs import RunFolder, global_rank, write_json
 from kinema.experiments.samples import sample_drawer
 from kinema.experiments.stages import Stage
@@ -25,6 +23,7 @@ from kinema.motion.representation import Representation
 from kinema.training.callbacks import Samples
 from kinema.training.fit import Machine, find_device, fit
 from kinema.training.latents import LatentCache
+from kinema.training.loggers import loggers
 from kinema.training.modules import EvaluatorModule, GeneratorModule, StageModule, TokenizerModule, step_seed
 from kinema.training.recipe import Recipe
 
@@ -54,11 +53,12 @@ def train_stage(
         num_workers=cfg.data.workers,
         legacy_windows=recipe.legacy_windows,
     )
-    extra: list[Callback] = []
+    extra: list[Samples] = []
     if stage.name == "generator" and cfg.callbacks.samples_every:
         draw = sample_drawer(cfg, store, read_model(upstream["tokenizer"].path)[0], module.text.value)
         extra = [Samples(folder.path / "samples", cfg.callbacks.samples_every, draw)]
-    with loggers(cfg, folder) as attached:
+    config, logger = plain(cfg), plain(cfg.logger)
+    with loggers(logger.pop("names"), folder.path, **logger, config=config) as attached:
         fitted = fit(module, data, folder.path, machine, callbacks=extra, loggers=attached)
     summary = {
         "seconds": round(fitted.seconds, 1),

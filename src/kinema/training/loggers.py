@@ -1,0 +1,39 @@
+"""Make the loggers of a run: csv, TensorBoard, wandb."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+NAMES = ("csv", "tensorboard", "wandb")
+
+
+@contextlib.contextmanager
+def loggers(names: list[str], folder: Path, *, project: str, mode: str, config: dict[str, Any]) -> Iterator[list[Any]]:
+    """Give the loggers and close them, also after a failure (or the next run would log into this one).
+
+    Raises ValueError for an unknown name.
+    """
+    from lightning.pytorch.loggers import CSVLogger, TensorBoardLogger, WandbLogger
+
+    unknown = [name for name in names if name not in NAMES]
+    if unknown:
+        raise ValueError(f"logger.names has {unknown[0]!r}; allowed: {', '.join(NAMES)}")
+    made: list[Any] = []
+    try:
+        for name in names:
+            if name == "csv":
+                made.append(CSVLogger(folder, name="logs", version="csv"))
+            elif name == "tensorboard":
+                made.append(TensorBoardLogger(folder, name="logs", version="tensorboard"))
+            else:
+                same = {"project": project, "name": folder.name, "id": folder.name[-12:], "save_dir": folder}
+                made.append(WandbLogger(**same, offline=mode != "online", config=config))
+        yield made
+    finally:
+        if "wandb" in names:
+            import wandb
+
+            wandb.finish()

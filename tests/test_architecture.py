@@ -1,0 +1,111 @@
+"""Hold the import edges, the size of files, and that asking for help pays for nothing."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "src" / "kinema"
+MODULES = {
+    ".".join(file.relative_to(ROOT / "src").with_suffix("").parts).removesuffix(".__init__"): file
+    for file in sorted(PACKAGE.rglob("*.py"))
+}
+MOST_LINES = 350
+
+FOUNDATION = {"types", "nn", "masking", "build"}
+MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
+MAY_IMPORT = {
+    # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> pipeline -> evaluation -> training ->
+    # experiments`; `motion -> data`; motion is open to all; text to pipeline and what comes after; interop stands
+    # beside pipeline, and so do the files of a run folder (artifacts, folders, editing, requests).
+    "types": set(),
+    "build": set(),
+    "masking": {"types"},
+    "nn": {"types", "masking"},
+    "motion": {"types", "build"},
+    "data": {"types", "motion"},
+    "diffusion": FOUNDATION,
+    "decoding": {*FOUNDATION, "diffusion"},
+    "text": {"types", "build", "motion"},
+    "tokenizers": MODEL,
+    "generators": MODEL,
+    "artifacts": {*FOUNDATION, "motion"},
+    "folders": {*FOUNDATION, "motion", "artifacts"},
+}
+MAY_IMPORT["editing"] = {*MODEL, "tokenizers", "generators"}
+MAY_IMPORT["requests"] = {*MAY_IMPORT["editing"], "editing", "text"}
+BESIDE = {*MAY_IMPORT["requests"], "requests", "artifacts", "folders"}
+MAY_IMPORT["pipeline"] = BESIDE
+MAY_IMPORT["interop"] = {*BESIDE, "data", "evaluation"}
+MAY_IMPORT["evaluation"] = {*BESIDE, "pipeline", "data"}
+MAY_IMPORT["training"] = {*MAY_IMPORT["evaluation"], "evaluation"}
+MAY_IMPORT["experiments"] = {*MAY_IMPORT["training"], "training", "interop"}
+COMMAND_LINE = ("cli", "commands")
+"""The command line stands on top of everything but the experiments."""
+MAY_IMPORT |= {name: {*MAY_IMPORT["training"], "interop", *COMMAND_LINE} - {"training"} for name in COMMAND_LINE}
+
+
+def imports(file: Path) -> set[str]:
+    """Give the modules that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: imports are absolute"
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def rooms(file: Path) -> set[str]:
+    """Give the parts of kinema that a file imports."""
+    parts = {name.split(".")[1] for name in imports(file) if name.startswith("kinema.")}
+    return {part for part in parts if (PACKAGE / part).is_dir() or (PACKAGE / f"{part}.py").exists()}
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if "." in name])
+def test_a_part_imports_what_lies_left_of_it(module):
+    own = module.split(".")[1]
+    assert own in MAY_IMPORT, f"{module} is a new part: give it its place among the edges"
+    strays = rooms(MODULES[module]) - MAY_IMPORT[own] - {own}
+    assert not strays, f"{module} imports {', '.join(sorted(strays))}"
+
+
+@pytest.mark.parametrize(
+    ("library", "where"),
+    [
+        (("lightning", "pytorch_lightning"), ("kinema.data.datamodule", "kinema.training")),
+        (("hydra", "omegaconf"), ("kinema.experiments",)),
+    ],
+)
+def test_frameworks_stay_in_their_rooms(library, where):
+    for module, file in MODULES.items():
+        if {name.split(".")[0] for name in imports(file)} & set(library):
+            assert module.startswith(where), f"{module} imports {library[0]}"
+
+
+def test_files_are_short():
+    files = [*ROOT.glob("*.py"), *ROOT.glob("src/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("benchmarks/*.py")]
+    lengths = {str(f.relative_to(ROOT)): len(f.read_text().splitlines()) for f in files}
+    long = {name: n for name, n in lengths.items() if n > (MOST_LINES if name.startswith("src") else 2 * MOST_LINES)}
+    assert not long
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["train.py"], ["evaluate.py"], ["-m", "kinema.cli"]],
+    ids=["train", "evaluate", "kinema"],
+)
+def test_help_imports_neither_torch_nor_lightning(command):
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", *command, "--help"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    imported = {line.rsplit("|", 1)[-1].strip() for line in done.stderr.splitlines() if line.startswith("import time")}
+    assert len(imported) > 50
+    assert not {"torch", "lightning", "transformers"} & imported
+    assert done.stdout
