@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -47,9 +48,8 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
                     "kept: run the same command again after mending the cause"
                 )
         rows = plan(table, shared)
-    command = f"make reproduce-{name} " + " ".join(f"{k.upper()}={v}" for k, v in (o.split("=", 1) for o in shared))
     out = out or ROOT / "reports" / name
-    for path in render_table(table, rows, out, command.strip()):
+    for path in render_table(table, rows, out, make_command(name, shared)):
         console.print(f"wrote     {path}")
     lacking = [row.spec["label"] for row in rows if row.cfg is not None and not row.complete]
     if lacking:
@@ -57,11 +57,19 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
 
 
+def make_command(name: str, overrides: list[str]) -> str:
+    """Give the command that makes a table with these overrides."""
+    own = [o for o in overrides if o.startswith(("data=", "scale="))]
+    other = [o for o in overrides if o not in own]
+    words = [f"make reproduce-{name}", *(f"{k.upper()}={v}" for k, v in (o.split("=", 1) for o in own))]
+    return " ".join([*words, f"ARGS={shlex.quote(shlex.join(other))}"] if other else words)
+
+
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
     """Give the multiruns that a table still needs, upstream first; none when everything is there."""
     ours = [row for row in rows if row.cfg is not None and not row.complete]
     work: list[tuple[str, list[str]]] = []
-    for stages in (("matching", "contrastive"), ("tokenizer",), ("generator", "length")):
+    for stages in (("matching", "contrastive"), ("tokenizer",), ("generator",)):
         lacking = [row for row in ours if any(_lacks(row, s) for s in stages)]
         methods = sorted({row.spec["method"] for row in lacking if "method" in row.spec})
         if stages[0] == "matching" and lacking:

@@ -26,8 +26,13 @@ def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
 
 
 def command(cfg: DictConfig, stage: Stage) -> str:
-    """Give the command that trains a stage of this configuration."""
-    return f"python train.py stage={stage.name} method={cfg.method.name} data={cfg.data.name} scale={cfg.scale.name}"
+    """Give the command that trains a stage of this configuration: what was asked for, with another stage."""
+    from hydra.core.hydra_config import HydraConfig
+
+    given = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
+    if HydraConfig.initialized():
+        given = [o for o in HydraConfig.get().overrides.task if o.split("=")[0] not in ("stage", "source", "ensure")]
+    return " ".join(["python train.py", f"stage={stage.name}", *given])
 
 
 def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
@@ -44,7 +49,7 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
             console.print(f"cached    {folder.path}")
         return folder
     upstream = {}
-    for needed in stage.upstream:
+    for needed in (*stage.upstream, *stage.companions):
         found = stage_folder(cfg, STAGES[needed], manifest(store)["hash"])
         if not found.done and not cfg.ensure:
             raise FileNotFoundError(

@@ -40,7 +40,10 @@ class RunFolder:
     def status(self) -> dict[str, Any]:
         """Give status.json, or `pending` where there is none."""
         file = self.path / "status.json"
-        return json.loads(file.read_text()) if file.exists() else {"state": "pending"}
+        try:
+            return json.loads(file.read_text()) if file.exists() else {"state": "pending"}
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{file} is damaged ({error}); delete this run folder to train it again") from None
 
     @property
     def done(self) -> bool:

@@ -9,13 +9,17 @@ from omegaconf import DictConfig, OmegaConf
 
 @dataclass(frozen=True)
 class Stage:
-    """Describe one stage: `node` is its config (model, train), `upstream` the stages whose runs it reads."""
+    """Describe one stage: `node` is its config (model, train), `upstream` the stages whose runs it reads.
+
+    `companions` are stages that a user of the run wants beside it, without influence on its weights.
+    """
 
     name: str
     node: str
     upstream: tuple[str, ...] = ()
     reads: tuple[str, ...] = ()
     owner: str = "method"
+    companions: tuple[str, ...] = ()
 
     def config(self, cfg: DictConfig) -> DictConfig:
         """Give the stage's own part of the configuration."""
@@ -29,7 +33,7 @@ STAGES: dict[str, Stage] = {
     s.name: s
     for s in (
         Stage("tokenizer", "tokenizer"),
-        Stage("generator", "generator", ("tokenizer",), ("text",)),
+        Stage("generator", "generator", ("tokenizer",), ("text",), companions=("length",)),
         Stage("length", "length", (), ("text",), "data"),
         Stage("decomposition", "evaluator.decomposition", (), (), "evaluator"),
         Stage(
