@@ -1,0 +1,125 @@
+"""A run's name changes with all that can change its result, and with nothing else."""
+
+from __future__ import annotations
+
+import pytest
+
+from kinema.experiments import identity
+from kinema.experiments.config import compose
+from kinema.experiments.evaluation import describe
+from kinema.experiments.identity import fingerprint, stage_identity
+from kinema.experiments.stages import STAGES
+
+
+def named(stage: str, *overrides: str, corpus: str = "corpus") -> str:
+    return fingerprint(stage_identity(compose(list(overrides)), STAGES[stage], corpus))
+
+
+@pytest.fixture(scope="module")
+def plain_names() -> dict[str, str]:
+    return {stage: named(stage) for stage in STAGES}
+
+
+def test_every_stage_has_its_own_name_that_does_not_change(plain_names):
+    assert len(set(plain_names.values())) == len(STAGES)
+    assert plain_names["generator"] == named("generator")
+
+
+@pytest.mark.parametrize(
+    ("stage", "override"),
+    [
+        ("generator", "seed=1"),
+        ("generator", "generator.model.width=128"),
+        ("generator", "generator.train.lr=1e-4"),
+        ("generator", "generator.train.steps=401"),
+        ("generator", "generator.train.ema=0.9"),
+        ("generator", "method=mardm_ddpm"),
+        ("generator", "representation=redundant"),  # through its tokenizer
+        ("generator", "tokenizer.model.width=64"),  # the same
+        ("generator", "tokenizer.train.steps=701"),
+        ("generator", "text=hashed"),
+        ("generator", "scale=tiny"),
+        ("generator", "trainer.precision=bf16-mixed"),
+        ("generator", "debug=steps"),
+        ("tokenizer", "seed=1"),
+        ("tokenizer", "representation=redundant"),
+        ("tokenizer", "representation.variant=published"),
+        ("matching", "evaluator=redundant"),
+        ("matching", "evaluator.words=hashed"),
+        ("matching", "evaluator.decomposition.train.steps=201"),
+        ("matching", "evaluator.matching.train.validate_every=50"),  # it keeps the best of the validated weights
+        ("matching", "evaluator.matching.train.val_batches=2"),
+        ("contrastive", "evaluator.tokens=hashed"),
+        ("length", "text=hashed"),
+    ],
+)
+def test_what_changes_the_result_changes_the_name(stage, override, plain_names):
+    assert named(stage, override) != plain_names[stage]
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_another_corpus_is_another_run(stage, plain_names):
+    assert named(stage, corpus="other") != plain_names[stage]
+
+
+MACHINE = [
+    "trainer.accelerator=gpu",
+    "trainer.devices=8",
+    "trainer.num_nodes=2",
+    "trainer.strategy=ddp_spawn",
+    "trainer.compile=true",
+    "trainer.progress=none",
+    "trainer.log_every=1",
+    "data.workers=7",
+    "logger=wandb",
+    "callbacks.samples_every=3",
+    "paths.runs=elsewhere",
+    "paths.stores=elsewhere",
+    "paths.cache=elsewhere",
+    "ensure=false",
+    "launcher=joblib",
+    "scale.protocol.replications=9",
+    "generator.sampling.guidance=1.5",
+    *(f"{node}.train.checkpoint_every=7" for node in ("tokenizer", "generator", "length")),
+    *(f"evaluator.{node}.train.checkpoint_every=7" for node in ("decomposition", "matching", "contrastive")),
+    "generator.train.validate_every=7",
+    "generator.train.val_batches=1",
+]
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_machine_and_bookkeeping_change_nothing(stage, plain_names):
+    assert named(stage, *MACHINE) == plain_names[stage]
+
+
+@pytest.mark.parametrize(
+    ("stage", "override"),
+    [
+        ("tokenizer", "text=hashed"),
+        ("tokenizer", "generator.model.width=128"),
+        ("tokenizer", "method=mardm_ddpm"),
+        ("matching", "representation=redundant"),
+        ("matching", "tokenizer.model.width=64"),
+        ("length", "generator.model.width=128"),
+    ],
+)
+def test_what_another_stage_reads_is_not_ones_own(stage, override, plain_names):
+    assert named(stage, override) == plain_names[stage]
+
+
+def test_a_new_meaning_of_configs_makes_new_runs(monkeypatch, plain_names):
+    monkeypatch.setattr(identity, "IDENTITY_VERSION", identity.IDENTITY_VERSION + 1)
+    assert named("generator") != plain_names["generator"]
+
+
+def test_evaluations_have_an_identity_too(micro):
+    def row(*overrides: str) -> str:
+        return describe(compose([*micro, *overrides], "evaluate")).folder.path.name
+
+    plain = row()
+    for override in ("generator.sampling.guidance=1.5", "scale.protocol.pool=4", "source=real", "seed=1"):
+        assert row(override) != plain, override
+    for override in ("scale.protocol.replications=9", "trainer=default", "data.workers=2", "logger=none"):
+        assert row(override) == plain, override
+    # Real motion is the same whoever generates beside it.
+    assert row("source=real", "method=mardm_ddpm") == row("source=real")
