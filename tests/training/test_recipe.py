@@ -1,5 +1,6 @@
 """Check the learning-rate schedules against the published loops, and the refusal of wrong values."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -34,7 +35,7 @@ def test_cosine_decay_ends_at_a_hundredth():
     factors = [recipe.factor(step) for step in range(201)]
     assert factors[0] < factors[5] < factors[9]
     assert factors[200] == pytest.approx(0.01 * 10 / 11, rel=1e-4)
-    assert all(a >= b for a, b in zip(factors[10:], factors[11:], strict=False))
+    assert all(a >= b for a, b in pairwise(factors[10:]))
 
 
 @pytest.mark.parametrize(
