@@ -1,0 +1,176 @@
+"""What README and docs/ tell people to type exists: Python runs, bash parses, overrides compose, links lead on."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from kinema import artifacts, cli
+from kinema.build import build
+from kinema.experiments.config import CONF, compose
+from kinema.folders import write_json
+from kinema.motion.statistics import Statistics
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+SHELL = ("export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail")
+"""Commands that are not ours to check."""
+
+
+GROUPS = "text|trainer|logger|launcher|debug|diffusion|evaluator|representation|scale|data"
+OVERRIDE = rf"\+?({GROUPS}|[a-z]+(\.\w+)+)=[\w.]+"
+
+
+def blocks(language: str) -> list:
+    """Give the fenced blocks of a language, page by page."""
+    found = []
+    for page in PAGES:
+        for i, text in enumerate(re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)):
+            found.append(pytest.param(text, id=f"{page.stem}-{i}"))
+    return found
+
+
+def commands() -> list:
+    """Give every command line of the bash blocks, continued lines joined."""
+    lines = []
+    for block in blocks("bash"):
+        for line in block.values[0].replace("\\\n", " ").splitlines():
+            words = shlex.split(line, comments=True)
+            if words:
+                lines.append(pytest.param(words, id=f"{block.id}-{line[:60]}"))
+    return lines
+
+
+@pytest.mark.parametrize("words", commands())
+def test_commands_exist(words):
+    while re.fullmatch(r"\w+=.*", words[0]):  # VARIABLE=value before a command, or alone
+        words = words[1:]
+        if not words or words[0].startswith(("-", "runs", "|", "head")):
+            return
+    check = {"make": check_make, "kinema": check_kinema, "python": check_python}
+    if words[0] in check:
+        check[words[0]](words[1:])
+    else:
+        assert words[0] in SHELL
+
+
+def check_kinema(words):
+    if words != ["--version"]:
+        cli._parser().parse_args(words)
+
+
+def check_make(words):
+    dry = subprocess.run(["make", "-n", *words], cwd=ROOT, capture_output=True, text=True)
+    assert dry.returncode == 0, dry.stderr
+    variables = dict(w.split("=", 1) for w in words if "=" in w)
+    for target in (w for w in words if w.startswith("reproduce-") and w != "reproduce-all"):
+        assert (CONF / "table" / f"{target.removeprefix('reproduce-')}.yaml").exists()
+        known = {k: v for k, v in variables.items() if k in ("DATA", "SCALE", "LAUNCHER")}
+        assert set(variables) <= {*known, "ARGS"}
+        check_overrides(
+            [*(f"{k.lower()}={v}" for k, v in known.items()), *variables.get("ARGS", "").split()], "evaluate"
+        )
+
+
+def check_python(words):
+    if words[0] == "-m":
+        module, table, *overrides = words[1:]
+        assert module == "kinema.experiments.reproduce"
+        assert (CONF / "table" / f"{table}.yaml").exists()
+        check_overrides([o for o in overrides if "=" in o], "evaluate")
+    else:
+        assert (ROOT / words[0]).exists()
+        if words[0] in ("train.py", "evaluate.py"):
+            flags = [w for w in words[1:] if w.startswith("-")]
+            assert set(flags) <= {"-m", "--cfg"}
+            check_overrides([w for w in words[1:] if "=" in w], words[0].removesuffix(".py"))
+
+
+def check_overrides(overrides, config):
+    """Compose every value of a sweep at least once."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    choices = []
+    for override in OverridesParser.create().parse_overrides(overrides):
+        sweep = override.is_sweep_override()
+        values = override.sweep_string_iterator() if sweep else [override.get_value_element_as_str()]
+        key = override.input_line.split("=", 1)[0]
+        choices.append([f"{key}={value}" for value in values])
+    for i in range(max(map(len, choices), default=1)):
+        compose([values[i % len(values)] for values in choices], config)
+
+
+def test_overrides_that_the_text_names_compose():
+    """Compose inline code such as `text=clip_b32` or `+generator.model.mask_length=own`, many at a time."""
+    text = "\n".join(page.read_text() for page in PAGES)
+    codes = " ".join(re.findall(r"`([^`\n]+)`", text)).split()
+    values: dict[str, list[str]] = {}
+    for override in sorted({code for code in codes if re.fullmatch(OVERRIDE, code) and "..." not in code}):
+        values.setdefault(override.partition("=")[0], []).append(override)
+    for i in range(max(map(len, values.values()))):
+        compose([choices[i % len(choices)] for choices in values.values()], "evaluate")
+
+
+TOKENIZER = {
+    "_target_": "kinema.tokenizers.autoencoder.AutoEncoder",
+    "representation": {
+        "_target_": "kinema.motion.representation.Representation",
+        "kind": "essential",
+        "skeleton": "humanml3d",
+    },
+    "width": 8,
+    "latent_dim": 4,
+    "depth": 1,
+}
+GENERATOR = {
+    "_target_": "kinema.generators.mar.MaskedAutoregressive",
+    "latent_dim": 4,
+    "text_dim": 64,
+    "process": {"_target_": "kinema.diffusion.flow.Flow"},
+    "width": 16,
+    "feedforward": 16,
+    "heads": 2,
+    "mlp_width": 16,
+    "mlp_depth": 1,
+    "sampling": {"_target_": "kinema.generators.mar.MarSampling", "steps": 3, "solver": "euler", "solver_steps": 2},
+}
+
+
+@pytest.fixture
+def checkout(tmp_path, monkeypatch):
+    """Stand in a folder that has the runs which `make reproduce-table5` leaves, with tiny random weights."""
+    torch.manual_seed(0)
+    for stage, name, spec in (("tokenizer", "ae", TOKENIZER), ("generator", "mardm_sit-essential-s0-0", GENERATOR)):
+        module = build(spec)
+        if stage == "tokenizer":
+            module.representation.fit(Statistics(np.zeros(67), np.full(67, 0.05)))
+        artifacts.save(module, spec, tmp_path / "runs" / stage / name / "weights.safetensors")
+    folder = tmp_path / "runs" / "generator" / "mardm_sit-essential-s0-0"
+    write_json(folder / "upstream.json", {"tokenizer": "../../tokenizer/ae"})
+    write_json(folder / "text.json", {"encoder": "hashed", "path": None})
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("code", blocks("python"))
+def test_python_runs(code, checkout):
+    exec(compile(code, "example", "exec"), {"__name__": "example"})
+
+
+def test_the_readme_has_both_kinds():
+    assert len(commands()) > 10
+    assert blocks("python")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
+        assert (page.parent / target).exists(), target
+    for path in re.findall(r"`(src/kinema/[\w/.]+\.py|kinema/[\w/.]+\.py|conf/[\w/.]+\.yaml)`", page.read_text()):
+        assert (ROOT / path).exists() or (ROOT / "src" / path).exists(), path
