@@ -45,7 +45,8 @@ def plain(node: Any) -> Any:
     try:
         return OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
-        raise ValueError(f"config: {str(error).splitlines()[0]}") from None
+        key = getattr(error, "full_key", None)
+        raise ValueError(f"config: {str(error).splitlines()[0]}{f' (set {key})' if key else ''}") from None
 
 
 def validate(cfg: DictConfig) -> None:

@@ -7,7 +7,9 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
+from kinema.data.datasets import ClipDataset
 from kinema.data.prepare import prepare_store
+from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 
 
@@ -23,6 +25,13 @@ def open_corpus(cfg: DictConfig) -> Path:
         mirror=data["mirror"],
         **data["options"],
     )
+
+
+def require_captions(store: Path, *splits: str) -> None:
+    """Check that the splits have captioned clips of a usable length, before hours are spent on what comes first."""
+    opened = PackedStore.open(store)
+    for split in splits:
+        ClipDataset(opened, split)
 
 
 def manifest(store: Path) -> dict:

@@ -11,9 +11,9 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import manifest, open_corpus
+from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint
-from kinema.experiments.run import run_stage, stage_folder
+from kinema.experiments.run import command, run_stage, stage_folder
 from kinema.experiments.runs import RunFolder, append_line, console, read_lines, upstream, versions
 from kinema.experiments.stages import STAGES
 
@@ -81,20 +81,36 @@ def run_evaluation(cfg: DictConfig) -> Row:
     if len(row.lines) == row.replications:
         console.print(f"cached    {row.folder.path}")
         return row
-    for name, path in row.runs.items():
-        own = stage_folder(cfg, STAGES[name], manifest(open_corpus(cfg))["hash"]).path == path
-        if own:
-            run_stage(cfg, name, quiet=True)
-        elif not RunFolder(path).weights.exists():
-            raise FileNotFoundError(
-                f"{path} holds no weights.safetensors; give the folder of a finished or imported run"
-            )
+    for name in _own_stages(cfg, row):
+        run_stage(cfg, name, quiet=True)
     with row.folder.lock():
         done = {line["replication"] for line in row.lines}
         missing = [r for r in range(row.replications) if r not in done]
         if missing:
             _score(cfg, row, missing)
     return row
+
+
+def _own_stages(cfg: DictConfig, row: Row) -> list[str]:
+    """Give the stages that the configuration describes; what is wrong is told before any of them trains."""
+    store, own = open_corpus(cfg), []
+    require_captions(store, cfg.scale.protocol.split)
+    corpus = manifest(store)["hash"]
+    for name, path in row.runs.items():
+        run = RunFolder(path)
+        if stage_folder(cfg, STAGES[name], corpus).path != path:
+            if not run.weights.exists():
+                raise FileNotFoundError(
+                    f"{path} holds no {run.weights.name}; give the folder of a finished or imported run"
+                )
+            continue
+        if not run.done and not cfg.ensure:
+            raise FileNotFoundError(
+                f"source {cfg.source} needs the {name} run {path}, which isn't finished; train it with "
+                f"`{command(cfg, STAGES[name])}` or set ensure=true"
+            )
+        own.append(name)
+    return own
 
 
 def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:

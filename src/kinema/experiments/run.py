@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import time
 import traceback
@@ -10,7 +11,7 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import manifest, open_corpus
+from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, stage_identity
 from kinema.experiments.runs import RunFolder, console, global_rank, versions, write_json
 from kinema.experiments.stages import STAGES, Stage, label
@@ -49,6 +50,8 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
         if not quiet:
             console.print(f"cached    {folder.path}")
         return folder
+    if stage.config(cfg).train.data == "clips":
+        require_captions(store, "train", "val")
     upstream = {}
     for needed in (*stage.upstream, *stage.companions):
         found = stage_folder(cfg, STAGES[needed], manifest(store)["hash"])
@@ -86,6 +89,9 @@ def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstre
 
     resumed = (folder.path / "checkpoints" / "last.ckpt").exists()
     console.print(f"{'resume' if resumed else 'train ':<9} {folder.path}")
+    left_out = len(json.loads((store / "dropped.json").read_text()))
+    if left_out:
+        console.print(f"[yellow]note[/]      {left_out} clips were left out of the corpus: {store / 'dropped.json'}")
     resolved = plain(cfg)
     resolved.pop("hydra", None)
     OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")

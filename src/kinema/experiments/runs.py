@@ -57,7 +57,8 @@ class RunFolder:
 
     def mark(self, state: str, **values: Any) -> None:
         """Record the state: pending | running | done | failed."""
-        write_json(self.path / "status.json", {**self.status, "state": state, **values})
+        kept = {k: v for k, v in self.status.items() if k != "error"}
+        write_json(self.path / "status.json", {**kept, "state": state, **values})
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,9 +93,9 @@ def make_recipe(train: dict[str, Any], store: Path, debug_steps: int | None = No
     if debug_steps:
         values |= {"steps": debug_steps, "validate_every": debug_steps, "checkpoint_every": debug_steps}
     values["milestones"] = tuple(values.get("milestones") or ())
-    values["validate_every"] = min(values.get("validate_every", 1000), values["steps"])
     try:
-        return Recipe(**values)
+        recipe = Recipe(**values)
+        return replace(recipe, validate_every=min(recipe.validate_every, recipe.steps))
     except TypeError as error:
         raise ValueError(f"train config: {error}; the fields are those of kinema.training.recipe.Recipe") from None
 

@@ -1,0 +1,171 @@
+"""A table is its rows' replications: the same bytes twice, nothing shown of incomplete rows, only gaps recomputed."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from kinema.experiments import evaluation, reproduce, tables
+from kinema.experiments.evaluation import run_evaluation
+from kinema.experiments.reproduce import make_command, missing_work
+from kinema.experiments.tables import load_table, plan, render_table
+
+FILES = ("table.md", "table.csv", "table.tex", "index.html")
+COMMAND = "make reproduce-table5"
+
+
+@pytest.fixture(scope="module")
+def table() -> dict:
+    return load_table("table5")
+
+
+@pytest.fixture(scope="module")
+def complete(micro, table):
+    """Run everything of table 5 once."""
+    # The revision in the provenance changes when somebody commits meanwhile.
+    patch = pytest.MonkeyPatch()
+    patch.setattr(evaluation, "versions", lambda: {"python": "3"})
+    for row in plan(table, micro):
+        if row.cfg is not None:
+            run_evaluation(row.cfg)
+    yield
+    patch.undo()
+
+
+def rendered(table, micro, out: Path) -> dict[str, str]:
+    render_table(table, plan(table, micro), out, COMMAND)
+    return {name: (out / name).read_text() for name in FILES}
+
+
+def row_of(text: str, key: str) -> dict[str, str]:
+    return next(line for line in csv.DictReader(text.splitlines()) if line["key"] == key)
+
+
+def replications(table, micro, key: str) -> Path:
+    return next(row for row in plan(table, micro) if row.spec["key"] == key).place.folder.path / "replications.jsonl"
+
+
+@pytest.fixture
+def gap(complete, table, micro, tmp_path):
+    """Delete the second result line of MARDM-SiT; gives its file, the line and the other tables' text before."""
+    before = rendered(table, micro, tmp_path / "before")
+    path = replications(table, micro, "mardm_sit")
+    whole = path.read_text()
+    lines = whole.splitlines(keepends=True)
+    path.write_text("".join(x for x in lines if json.loads(x)["replication"] != 1))
+    yield path, lines, before
+    path.write_text(whole)
+
+
+def test_rendering_twice_gives_the_same_bytes(complete, table, micro, tmp_path):
+    first, second = (rendered(table, micro, tmp_path / name) for name in ("first", "second"))
+    assert first == second
+    assert row_of(first["table.csv"], "mardm_sit")["replications"] == "2"
+    assert float(row_of(first["table.csv"], "real")["fid"]) == pytest.approx(0, abs=1e-3)
+    assert float(row_of(first["table.csv"], "halves")["fid"]) > 0
+    assert row_of(first["table.csv"], "halves")["r1"] == ""  # a row of one metric
+
+
+def test_methods_that_are_missing_say_so(complete, table, micro, tmp_path):
+    text = rendered(table, micro, tmp_path)["table.md"]
+    for label in ("T2M-GPT", "MMM", "MoMask", "MDM-50Step", "MotionDiffuse", "MLD", "ReMoDiffuse"):
+        assert f"| {label} | not in Kinema yet |" in text
+    assert text.count("not in Kinema yet |") == 7
+    assert "not yet run" not in text
+
+
+def test_the_table_names_what_it_rests_on(complete, table, micro, tmp_path):
+    text = rendered(table, micro, tmp_path)["table.md"]
+    row = plan(table, micro)[0].place
+    provenance = row.lines[0]["provenance"]
+    for fact in (provenance["corpus"]["hash"], *provenance["evaluators"].values(), *provenance["runs"].values()):
+        assert str(fact) in text
+    assert "hashed" in text
+    assert COMMAND in text
+    # Nothing of HumanML3D may stand beside another corpus' numbers unsaid.
+    assert "synthetic" in text.split("|")[0]
+
+
+def test_a_deleted_line_blanks_its_row_and_no_other(gap, table, micro, tmp_path):
+    _, _, before = gap
+    after = rendered(table, micro, tmp_path / "after")
+    row = row_of(after["table.csv"], "mardm_sit")
+    assert row["replications"] == "0"
+    assert not any(row[k] for k in ("r1", "fid", "matching", "clip_score"))
+    assert "| MARDM-SiT | not yet run |" in after["table.md"]
+    for line in csv.DictReader(before["table.csv"].splitlines()):
+        if line["key"] != "mardm_sit":
+            assert line == row_of(after["table.csv"], line["key"])
+
+
+def test_only_the_missing_replication_is_run_again(gap, table, micro, tmp_path):
+    path, lines, before = gap
+    (row,) = [row for row in plan(table, micro) if row.cfg is not None and not row.complete]
+    assert row.spec["key"] == "mardm_sit"
+    assert missing_work(plan(table, micro)) == [("evaluate", ["source=generation", "method=mardm_sit"])]
+    others = {r.place.folder.path: r.place.folder.path.stat().st_mtime_ns for r in plan(table, micro) if r.place}
+    run_evaluation(row.cfg)
+    again = path.read_text().splitlines(keepends=True)
+    assert again[0] == lines[0]
+    assert json.loads(again[1])["metrics"] == json.loads(lines[1])["metrics"]
+    assert rendered(table, micro, tmp_path / "after") == before
+    for folder, changed in others.items():
+        assert folder == path.parent or folder.stat().st_mtime_ns == changed
+
+
+@pytest.mark.slow
+def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro, tmp_path, capfd):
+    path, _, before = gap
+    reproduce.reproduce("table5", micro, render_only=True, out=tmp_path / "blank")
+    assert "no complete results for: MARDM-SiT" in capfd.readouterr().out
+    reproduce.reproduce("table5", [*micro, "launcher=none"], out=tmp_path / "whole")
+    assert (tmp_path / "whole" / "table.csv").read_text() == before["table.csv"]
+    said = capfd.readouterr().out
+    assert said.count("run       ") == 1
+    assert "replication 1:" in said
+    assert "replication 0:" not in said
+    assert len(path.read_text().splitlines()) == 2
+
+
+@pytest.mark.slow
+def test_a_sweep_whose_job_fails_fails(micro, tmp_path):
+    wrong = [*micro, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
+    with pytest.raises(OSError, match=r"train\.py -m .* failed \(see above\)"):
+        reproduce.reproduce("table5", wrong, out=tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+def test_nothing_is_left_to_run_when_all_is_there(complete, table, micro):
+    assert missing_work(plan(table, micro)) == []
+
+
+def test_work_is_ordered_upstream_first(table, micro, tmp_path):
+    work = missing_work(plan(table, [*micro, f"paths.runs={tmp_path}"]))
+    assert [(script, choices[0]) for script, choices in work] == [
+        ("train", "stage=matching,contrastive"),
+        ("train", "stage=tokenizer"),
+        ("train", "stage=generator"),
+        ("evaluate", "source=real,shuffled,noise,nearest,reconstruction"),
+        ("evaluate", "source=generation"),
+    ]
+
+
+def test_the_command_of_a_table_can_be_typed():
+    assert make_command("table5", ["data=open_mocap", "scale=tiny"]) == (
+        "make reproduce-table5 DATA=open_mocap SCALE=tiny"
+    )
+    assert make_command("table5", ["scale=tiny", "seed=1", "text=hashed"]) == (
+        "make reproduce-table5 SCALE=tiny ARGS='seed=1 text=hashed'"
+    )
+
+
+def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):
+    with pytest.raises(FileNotFoundError, match=r"no table 'table55'; tables: .*table5"):
+        load_table("table55")
+    monkeypatch.setattr(tables, "CONF", Path("none"))
+    with pytest.raises(SystemExit) as stopped:
+        reproduce.main(["table5"])
+    assert str(stopped.value).startswith("error: there is no table 'table5'")

@@ -1,0 +1,265 @@
+"""Bad input at the level where the user meets it: one clear error, exit code 1, no traceback, nothing damaged."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import runpy
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from kinema import artifacts
+from kinema.data.synthetic import synthetic_clips
+from kinema.data.synthetic.folders import write_joints_folder
+from kinema.experiments.config import compose
+from kinema.experiments.run import run_stage
+from kinema.experiments.runs import RunFolder
+from kinema.pipeline import TextToMotion
+from kinema.training.checkpoint import AtomicCheckpointIO
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = ["data=custom", "data.mirror=false", "generator.train.batch_size=4", "tokenizer.train.steps=2"]
+
+
+@pytest.fixture
+def refused(overrides, monkeypatch, capfd) -> Callable[..., str]:
+    """Run train.py or evaluate.py in this process; they must end with exit code 1 and one message, which is given."""
+
+    def run(name: str, *arguments: str) -> str:
+        monkeypatch.chdir(ROOT)
+        given = [o for o in overrides if "data=custom" not in arguments or not o.startswith("data")]
+        monkeypatch.setattr("sys.argv", [name, *given, *arguments])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as stopped:
+            runpy.run_path(name, run_name="__main__")
+        message = stopped.value.code if isinstance(stopped.value.code, str) else capfd.readouterr().err
+        assert stopped.value.code not in (0, None)
+        assert "Traceback" not in message
+        return message
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory) -> Path:
+    """Give a sound joints folder of a few clips."""
+    return write_joints_folder(synthetic_clips(size=30, seed=0), tmp_path_factory.mktemp("corpus") / "whole")
+
+
+@pytest.fixture
+def corpus(whole, tmp_path) -> Path:
+    """Give a copy of the sound folder to be damaged."""
+    return Path(shutil.copytree(whole, tmp_path / "corpus"))
+
+
+def clip_of(corpus: Path, split: str = "train") -> Path:
+    return corpus / "joints" / f"{(corpus / f'{split}.txt').read_text().split()[0]}.npy"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["data=open_mocp"], ["open_mocp", "Available options", "open_mocap"]),
+        (["scale=huge"], ["huge", "paper", "smoke", "tiny"]),
+        (["generator.train.stepz=3"], ["stepz"]),
+        (["+generator.train.stepz=3"], ["error: train config", "stepz", "Recipe"]),
+        (["unknown=3"], ["unknown"]),
+        (["stage=generater"], ["stage='generater' is unknown; allowed: tokenizer, generator"]),
+        (["seed=-1"], ["seed=-1; it must be an integer of at least 0"]),
+        (["data=custom"], ["error: config: Missing mandatory value", "set data.source"]),
+        (["trainer.progress=loud"], ["trainer.progress='loud'; allowed: rich, tqdm, none"]),
+        (["trainer.accelerator=tpux"], ["trainer.accelerator='tpux'; allowed: auto, gpu, cuda, mps, cpu"]),
+        (["logger.names=[tensorbord]"], ["logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"]),
+        (["stage=tokenizer", "tokenizer.train.steps=many"], ["train.steps='many'", "number"]),
+        (["stage=tokenizer", "tokenizer.train.steps=0"], ["train.steps=0; it must be at least 1"]),
+        (["stage=tokenizer", "tokenizer.train.batch_size=1000000"], ["batch_size 1000000"]),
+        (["stage=tokenizer", "+tokenizer.model.widht=3"], ["widht", "its arguments are", "width"]),
+        (["text=clip_b32", "text.path=/nowhere/clip"], ["/nowhere/clip"]),
+    ],
+)
+def test_a_wrong_configuration_is_named(refused, arguments, words):
+    message = refused("train.py", "stage=generator", *arguments)
+    for word in words:
+        assert word in message, message
+
+
+def test_wrong_evaluations_are_named(refused, tmp_path):
+    assert "source='gen' is unknown; allowed: real, shuffled" in refused("evaluate.py", "source=gen")
+    assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
+    message = refused("evaluate.py", "source=real", "ensure=false")
+    assert "train it with `python train.py stage=matching data=synthetic" in message
+    assert not (tmp_path / "runs" / "matching").exists()
+
+
+def no_split(corpus: Path) -> None:
+    (corpus / "val.txt").unlink()
+
+
+def no_folder(corpus: Path) -> None:
+    shutil.rmtree(corpus)
+
+
+def no_text_at_all(corpus: Path) -> None:
+    shutil.rmtree(corpus / "texts")
+
+
+def no_motions(corpus: Path) -> None:
+    for file in sorted((corpus / "joints").iterdir())[::2]:
+        file.unlink()
+
+
+def wrong_joints(corpus: Path) -> None:
+    np.save(clip_of(corpus), np.zeros((60, 17, 3), np.float32))
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (no_split, ["val.txt"]),
+        (no_folder, ["corpus", "does not exist"]),
+        (no_text_at_all, ["has no captions", "texts/NAME.txt"]),
+        (no_motions, ["complete the folder or raise max_missing"]),
+        (wrong_joints, ["(60, 17, 3)", "22"]),
+    ],
+)
+def test_a_damaged_corpus_is_named(refused, corpus, damage, words, tmp_path):
+    damage(corpus)
+    stores = f"paths.stores={tmp_path}/stores"
+    message = refused("train.py", *SMALL, f"data.source={corpus}", stores, "stage=generator")
+    assert message.startswith("error: ")
+    for word in words:
+        assert word in message, message
+    assert not (tmp_path / "runs" / "tokenizer").exists()
+    assert not list((tmp_path / "stores").glob("*.partial"))
+
+
+def test_unfit_clips_are_left_out_and_told(corpus, overrides, tmp_path, capsys):
+    nan, flat = sorted((corpus / "joints").glob("*.npy"))[:2]
+    joints = np.load(nan)
+    joints[7, 3] = np.nan
+    np.save(nan, joints)
+    joints = np.load(flat)
+    joints[:, 5] = joints[:, 2]
+    np.save(flat, joints)
+    more = [*SMALL, f"data.source={corpus}", f"paths.stores={tmp_path}/stores", "+data.options.max_missing=0.2"]
+    run_stage(compose([*(o for o in overrides if not o.startswith("data")), *more]), "tokenizer")
+    said = " ".join(capsys.readouterr().out.split())
+    assert "2 clips were left out" in said
+    (dropped,) = (tmp_path / "stores").glob("*/dropped.json")
+    reasons = {entry["name"]: entry["reason"] for entry in json.loads(dropped.read_text())}
+    assert "NaN or infinite values in 1 frames, first 7" in reasons[nan.stem]
+    assert "bone" in reasons[flat.stem]
+    assert str(dropped) in said
+
+
+@pytest.fixture(scope="module")
+def generator(micro) -> RunFolder:
+    return run_stage(compose(micro), "generator")
+
+
+@pytest.mark.parametrize(
+    ("texts", "frames", "words"),
+    [
+        ([""], [40], "text 0 is empty"),
+        (["a person walks", "  "], [40, 40], "text 1 is empty"),
+        (["a person walks"], [0], "length 0 is out of range; allowed: 1 to 196"),
+        (["a person walks"], [197], "length 197 is out of range; allowed: 1 to 196"),
+    ],
+)
+def test_bad_requests_to_a_trained_run_are_named(generator, texts, frames, words):
+    with pytest.raises(ValueError, match=words):
+        TextToMotion.from_run(generator.path).generate(texts, frames)
+
+
+class Code:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return (Path.touch, (self.path,))
+
+
+def truncate(path: Path, victim: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def poison(path: Path, victim: Path) -> None:
+    path.write_bytes(pickle.dumps(Code(victim)))
+
+
+def poison_zip(path: Path, victim: Path) -> None:
+    torch.save({"state_dict": Code(victim)}, path)
+
+
+@pytest.mark.parametrize("damage", [truncate, poison, poison_zip])
+def test_a_damaged_checkpoint_is_named_and_runs_nothing(refused, overrides, damage, tmp_path):
+    folder = run_stage(compose(overrides), "tokenizer")
+    folder.weights.unlink()
+    last = folder.path / "checkpoints" / "last.ckpt"
+    torch.save({"state_dict": {"weight": torch.zeros(1000)}}, last)
+    damage(last, tmp_path / "victim")
+    content = last.read_bytes()
+    message = refused("train.py", "stage=tokenizer")
+    assert message.startswith(f"error: checkpoint {last} cannot be read")
+    assert "delete it to train this stage from the start" in message
+    assert last.read_bytes() == content
+    assert not (tmp_path / "victim").exists()
+    assert folder.status["state"] == "failed"
+    last.unlink()
+    assert run_stage(compose(overrides), "tokenizer").done
+
+
+@pytest.mark.parametrize("damage", [truncate, poison])
+def test_damaged_weights_are_named_and_run_nothing(refused, overrides, damage, tmp_path):
+    folder = run_stage(compose(overrides), "tokenizer")
+    damage(folder.weights, tmp_path / "victim")
+    message = refused("evaluate.py", "source=reconstruction")
+    assert message.startswith(f"error: {folder.weights} cannot be read")
+    assert not (tmp_path / "victim").exists()
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / "last.ckpt"
+    AtomicCheckpointIO().save_checkpoint({"step": 1}, path)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", full)
+        with pytest.raises(
+            OSError, match=r"could not write checkpoint .*No space left.*previous checkpoint is untouched"
+        ):
+            AtomicCheckpointIO().save_checkpoint({"step": 2}, path)
+        with pytest.raises(OSError, match="free disk space"):
+            artifacts.save(torch.nn.Linear(1, 1), {"_target_": "kinema.x"}, tmp_path / "weights.safetensors")
+    assert AtomicCheckpointIO().load_checkpoint(path) == {"step": 1}
+    assert [p.name for p in tmp_path.iterdir()] == ["last.ckpt"]
+
+
+def test_a_full_disk_during_training_fails_the_run_which_resumes(refused, overrides, monkeypatch):
+    real, calls = torch.save, []
+
+    def save(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 3:
+            raise RuntimeError("PytorchStreamWriter failed writing file data/0: file write failed")
+        return real(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(torch, "save", save)
+        message = refused("train.py", "stage=tokenizer")
+    assert "could not write checkpoint" in message
+    assert "run the same command again: it resumes" in message
+    cfg = compose(overrides)
+    (folder,) = [RunFolder(p) for p in Path(cfg.paths.runs, "tokenizer").iterdir()]
+    assert folder.status["state"] == "failed"
+    assert [p.name for p in (folder.path / "checkpoints").iterdir()] == ["last.ckpt"]
+    assert run_stage(cfg, "tokenizer").status["step"] == 24
