@@ -18,8 +18,8 @@ def main(cfg: DictConfig) -> None:
     # Imported here: --help must not pay for torch.
     from kinema.experiments.run import run_stage
 
-    refuse_ddp_in_multirun(cfg, multirun=hydra.core.hydra_config.HydraConfig.get().mode.name == "MULTIRUN")
     try:
+        refuse_ddp_in_multirun(cfg, multirun=hydra.core.hydra_config.HydraConfig.get().mode.name == "MULTIRUN")
         run_stage(cfg, cfg.stage)
     except (ValueError, OSError, ImportError) as error:
         if cfg.debug.enabled:

@@ -69,7 +69,12 @@ def _parser() -> argparse.ArgumentParser:
     read.add_argument("kind", choices=KINDS)
     read.add_argument("file", help="published .tar, .pth, .pt or .safetensors")
     read.add_argument("--out", required=True, metavar="RUN", help="run folder to write")
-    read.add_argument("--statistics", metavar="FOLDER", help="folder with the Mean.npy and Std.npy it was trained with")
+    read.add_argument(
+        "--statistics",
+        nargs="+",
+        metavar="PATH",
+        help="what it was trained with: a folder with Mean.npy and Std.npy, or the two files, mean first",
+    )
     read.add_argument("--tokenizer", metavar="RUN", help="run folder of a mardm's autoencoder")
     read.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
     read.add_argument("--text", default="clip_b32", help="text encoder it was trained with (default clip_b32)")

@@ -71,7 +71,7 @@ def import_checkpoint(options: argparse.Namespace) -> None:
     """Turn a published checkpoint into a run folder."""
     settings = dict(options.set)
     if options.statistics:
-        settings["statistics"] = options.statistics
+        settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
     links = {name: getattr(options, name) for name in ("tokenizer", "length") if getattr(options, name)}
     if options.kind == "mardm" and not {"tokenizer"} <= links.keys():
         raise ValueError("a mardm needs --tokenizer RUN, the run folder of its imported autoencoder (mardm-ae)")
@@ -88,8 +88,8 @@ def import_checkpoint(options: argparse.Namespace) -> None:
         write_json(folder / "status.json", {"state": "done", "imported": str(options.file)})
     size = sum(p.numel() for p in module.parameters())
     print(f"wrote {out} ({type(module).__name__}, {size:,} parameters)")
-    if hasattr(module, "representation") and not options.statistics:
-        print("note: its mean and std are unknown; import it with --statistics FOLDER to use it")
+    if hasattr(module, "representation") and "statistics" not in settings:
+        print("note: its mean and std are unknown; import it with --statistics PATH to use it")
 
 
 def prepare(options: argparse.Namespace) -> None:

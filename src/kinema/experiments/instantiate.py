@@ -13,7 +13,7 @@ from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.experiments.stages import Stage
 from kinema.text.cache import CachedTextEncoder
-from kinema.text.encoders import build_text_encoder
+from kinema.text.encoders import FrozenTextEncoder, build_text_encoder
 from kinema.text.tokens import TokenTable, clip_tokens
 from kinema.text.words import WordVectors, word_vectors
 
@@ -39,7 +39,11 @@ def read_model(run: Path) -> tuple[nn.Module, dict[str, Any]]:
 
 def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:
     """Give the method's frozen text encoder behind its on-disk cache."""
-    encoder = build_text_encoder(cfg.text.name, path=cfg.text.path, device=device)
+    return cached(cfg, build_text_encoder(cfg.text.name, path=cfg.text.path, device=device))
+
+
+def cached(cfg: DictConfig, encoder: FrozenTextEncoder) -> CachedTextEncoder:
+    """Put the on-disk cache in front of a text encoder."""
     tokens = "float32" if cfg.generator.reads_tokens else None
     return CachedTextEncoder(encoder, Path(cfg.paths.cache) / "text", tokens=tokens)
 

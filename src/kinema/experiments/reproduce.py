@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")
     parser.add_argument("--render-only", action="store_true", help="render what there is; run nothing")
     parser.add_argument("--out", type=Path, help="folder of the report (default: reports/TABLE)")
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)
     try:
         reproduce(options.table, options.overrides, render_only=options.render_only, out=options.out)
     except (ValueError, OSError, ImportError) as error:

@@ -19,7 +19,7 @@ from kinema.evaluation.cache import motion_key
 from kinema.evaluation.metrics.fid import half_against_half
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
-from kinema.experiments.instantiate import attach_text, encode_captions, read_model, text_encoder
+from kinema.experiments.instantiate import attach_text, cached, encode_captions, read_model, text_encoder
 from kinema.experiments.stages import STAGES
 from kinema.motion.recovery import recover_joints
 from kinema.text.cache import CachedTextEncoder
@@ -126,7 +126,8 @@ class Scorer:
 
             pipeline = TextToMotion.from_run(runs["generator"], device=self.device)
             sampling = build(plain(cfg.generator.sampling))
-            text = self._text(self.protocol.split)
+            # The run's own text encoder, which need not be the configuration's (an imported run).
+            text = encode_captions(cached(cfg, pipeline.text_encoder), self.store, self.protocol.split)
             return sources.Generated(pipeline.generator, pipeline.tokenizer, text, sampling=sampling)
         tokenizer = read_model(runs["tokenizer"])[0].to(self.device)
         if name == "reconstruction":

@@ -44,5 +44,7 @@ def read_statistics(source: Any) -> Statistics:
         if not Path(source).exists():
             raise FileNotFoundError(f"no statistics at {source}; give a folder with Mean.npy and Std.npy, or an .npz")
         return Statistics.load(source)
+    if len(source) != 2:
+        raise ValueError(f"statistics are a folder, an .npz or two .npy files (mean, std), not {len(source)} paths")
     mean, std = (np.load(path, allow_pickle=False).astype(np.float64) for path in source)
     return Statistics(mean, std)

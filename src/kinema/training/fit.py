@@ -10,12 +10,13 @@ from typing import Any
 
 import torch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
-from lightning.pytorch.callbacks import RichProgressBar, TQDMProgressBar
+from lightning.pytorch.callbacks import TQDMProgressBar
 from torch import Tensor
 
 from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord
 from kinema.training.checkpoint import AtomicCheckpointIO
 from kinema.training.modules import StageModule
+from kinema.training.progress import StepProgress
 
 HARMLESS = (
     "does not have many workers",
@@ -29,7 +30,7 @@ HARMLESS = (
 )
 """Warnings of Lightning that say nothing of our runs: data come from a map, and batches follow from the step."""
 
-BARS = {"rich": RichProgressBar, "tqdm": TQDMProgressBar}
+BARS = {"rich": StepProgress, "tqdm": TQDMProgressBar}
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,8 @@ class StageModule(LightningModule):
     def validation_step(self, batch: MotionBatch, batch_idx: int) -> None:
         """Log the mean validation losses; the draws are the same at every validation, and so is every rank's batch."""
         losses = self.losses(batch, self._draws("val", batch_idx), (0, 1))
-        self.log_dict({f"val/{k}": v for k, v in losses.items()}, batch_size=len(batch.lengths), prog_bar=True)
+        for name, value in losses.items():
+            self.log(f"val/{name}", value, batch_size=len(batch.lengths), prog_bar=name == "loss")
 
     def configure_optimizers(self) -> dict[str, Any]:
         """Make the recipe's optimiser and its schedule by steps."""
