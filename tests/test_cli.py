@@ -182,7 +182,7 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
 
 def test_an_autoencoder_without_statistics_says_so(run, capsys):
     assert cli.main(["import", "mardm-ae", "ae.tar", "--out", "runs/bare"]) == 0
-    assert "import it with --statistics FOLDER" in capsys.readouterr().out
+    assert "import it with --statistics PATH" in capsys.readouterr().out
 
 
 def test_help_needs_no_torch():

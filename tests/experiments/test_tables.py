@@ -122,7 +122,9 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro, tmp_pat
     reproduce.reproduce("table5", micro, render_only=True, out=tmp_path / "blank")
     assert "no complete results for: MARDM-SiT" in capfd.readouterr().out
     reproduce.reproduce("table5", [*micro, "launcher=none"], out=tmp_path / "whole")
-    assert (tmp_path / "whole" / "table.csv").read_text() == before["table.csv"]
+    ours, theirs = (row_of(x, "mardm_sit") for x in ((tmp_path / "whole/table.csv").read_text(), before["table.csv"]))
+    for metric in ("r1", "fid", "matching", "multimodality", "clip_score"):
+        assert float(ours[metric]) == pytest.approx(float(theirs[metric]), rel=1e-3)  # threads add up differently
     said = capfd.readouterr().out
     assert said.count("run       ") == 1
     assert "replication 1:" in said
