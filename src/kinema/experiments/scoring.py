@@ -23,7 +23,7 @@ from kinema.experiments.instantiate import attach_text, cached, encode_captions,
 from kinema.experiments.stages import STAGES
 from kinema.motion.recovery import recover_joints
 from kinema.text.cache import CachedTextEncoder
-from kinema.training.fit import find_device
+from kinema.training.fit import Machine, find_device
 from kinema.types import MotionBatch
 
 SAMPLES = 6
@@ -39,6 +39,7 @@ class Scorer:
 
     def __init__(self, cfg: DictConfig, runs: dict[str, Path], store_path: Path) -> None:
         self.cfg = cfg
+        Machine(**plain(cfg.trainer)).limit_threads()
         self.device = find_device(cfg.trainer.accelerator)
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))

@@ -34,6 +34,7 @@ def train_stage(
 ) -> dict[str, Any]:
     """Fit a stage and write its weights; returns what status.json keeps (seconds, step, validation loss)."""
     machine, device = Machine(**plain(cfg.trainer)), find_device(cfg.trainer.accelerator)
+    machine.limit_threads()
     store = PackedStore.open(store_path)
     node = plain(stage.config(cfg))
     recipe = make_recipe(node["train"], store_path, debug_steps=cfg.debug.steps)

@@ -43,6 +43,7 @@ class Machine:
     strategy: str = "auto"
     precision: str = "32-true"
     compile: bool = False
+    threads: int | None = None
     progress: str = "rich"
     log_every: int = 50
     extra: dict[str, Any] = field(default_factory=dict)
@@ -50,6 +51,11 @@ class Machine:
     def __post_init__(self) -> None:
         if self.progress not in (*BARS, "none"):
             raise ValueError(f"trainer.progress={self.progress!r}; allowed: {', '.join(BARS)}, none")
+
+    def limit_threads(self) -> None:
+        """Use this many CPU threads from now on (None: as many as torch takes)."""
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
 
 
 @dataclass(frozen=True)
