@@ -104,4 +104,5 @@ def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstre
         folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
         raise
     folder.mark("done", **result)
+    (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
     console.print(f"done      {folder.path} in {result['seconds']:.0f} s")

@@ -77,7 +77,6 @@ def train_stage(
         write_json(folder.path / "text.json", {"encoder": cfg.text.name, "path": cfg.text.path})
         meta["text"] = module.text.value.identity
     artifacts.save(model, spec, folder.weights, **meta)
-    (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
     return summary
 
 
