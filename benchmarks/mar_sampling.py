@@ -1,6 +1,6 @@
 """Measure MARDM sampling: rows through the diffusion MLP, seconds per sample, share of the machine's matmul rate.
 
-    python benchmarks/mar_sampling.py [--size tiny|s|xl] [--process ddpm|flow] [--batch 8] [--device cpu]
+    python benchmarks/mar_sampling.py [--size tiny|s|xl] [--process ddpm|flow] [--batch 32] [--device cpu]
 
 The rows and seconds are given for sampling only the latents that are kept (default) and all masked ones (published).
 The share is the time that the MLP's matrix products take alone, same shapes and dtype in the same run, over the time of
@@ -104,7 +104,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", choices=SIZES, default="tiny")
     parser.add_argument("--process", choices=("ddpm", "flow"), default="ddpm")
-    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--device", default="cpu")
     arguments = parser.parse_args()
     device = torch.device(arguments.device)
