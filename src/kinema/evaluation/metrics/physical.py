@@ -76,7 +76,7 @@ class Physical(Metric):
 def turn(batch: MotionBatch) -> Tensor:
     """Give the absolute total turn of each motion after its first row, radians.
 
-    A clip's first row holds a jump of up to 90 degrees: extraction sets the first heading to zero (HUMANML3D_DATA §3.6).
+    A clip's first row holds a jump of up to 90 degrees: extraction sets its first heading to 0 (HUMANML3D_DATA §3.6).
     """
     return physics.turn_angle(batch.features[:, 1:], batch.lengths - 1).abs()
 
