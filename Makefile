@@ -42,7 +42,7 @@ reproduce-all: $(patsubst conf/table/%.yaml,reproduce-%,$(wildcard conf/table/*.
 # A motion from a sentence, with the generator of the last table at this scale.
 demo: reproduce-table5
 	$(VENV)/bin/kinema generate "a person waves with the left hand" \
-	  --run $$(ls -td runs/generator/mardm_sit-* | head -1) --seconds 4 --out reports/demo.html
+	  --run $$(dirname $$(ls -t runs/generator/mardm_sit-*/weights.safetensors | head -1)) --seconds 4 --out reports/demo.html
 
 clean-reports:
 	rm -rf reports

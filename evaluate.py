@@ -7,7 +7,7 @@ import sys
 import hydra
 from omegaconf import DictConfig
 
-from kinema.experiments.config import register_resolvers
+from kinema.experiments.config import refuse_processes, register_resolvers
 
 register_resolvers()
 
@@ -19,6 +19,7 @@ def main(cfg: DictConfig) -> None:
     from kinema.experiments.evaluation import run_evaluation
 
     try:
+        refuse_processes(cfg, multirun=hydra.core.hydra_config.HydraConfig.get().mode.name == "MULTIRUN")
         run_evaluation(cfg)
     except (ValueError, OSError, ImportError) as error:
         if cfg.debug.enabled:

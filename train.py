@@ -7,7 +7,7 @@ import sys
 import hydra
 from omegaconf import DictConfig
 
-from kinema.experiments.config import refuse_ddp_in_multirun, register_resolvers
+from kinema.experiments.config import refuse_processes, register_resolvers
 
 register_resolvers()
 
@@ -19,7 +19,7 @@ def main(cfg: DictConfig) -> None:
     from kinema.experiments.run import run_stage
 
     try:
-        refuse_ddp_in_multirun(cfg, multirun=hydra.core.hydra_config.HydraConfig.get().mode.name == "MULTIRUN")
+        refuse_processes(cfg, multirun=hydra.core.hydra_config.HydraConfig.get().mode.name == "MULTIRUN")
         run_stage(cfg, cfg.stage)
     except (ValueError, OSError, ImportError) as error:
         if cfg.debug.enabled:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from kinema.experiments.config import compose, refuse_ddp_in_multirun
+from kinema.experiments.config import compose, refuse_processes
 from kinema.experiments.run import run_stage
 
 STAGE_NODE = {"generator": "generator", "matching": "evaluator.matching"}
@@ -39,8 +39,14 @@ def test_two_processes_train_like_one(stage, overrides, script, tmp_path: Path):
         torch.testing.assert_close(ours[name], value, rtol=1e-2, atol=1e-4, msg=name)
 
 
-def test_ddp_inside_a_sweep_is_refused():
-    with pytest.raises(ValueError, match="ddp_spawn"):
-        refuse_ddp_in_multirun(compose(["trainer=ddp"]), multirun=True)
-    refuse_ddp_in_multirun(compose(["trainer=ddp", "trainer.strategy=ddp_spawn"]), multirun=True)
-    refuse_ddp_in_multirun(compose(["trainer=ddp"]), multirun=False)
+@pytest.mark.parametrize("options", [["trainer=ddp"], ["trainer.devices=2"], ["trainer.num_nodes=2"]])
+def test_several_processes_inside_a_sweep_are_refused(options):
+    with pytest.raises(ValueError, match="one run at a time"):
+        refuse_processes(compose(options), multirun=True)
+    refuse_processes(compose(options), multirun=False)
+    refuse_processes(compose(["trainer.devices=[0]"]), multirun=True)
+
+
+def test_spawned_processes_are_refused():
+    with pytest.raises(ValueError, match="strategy=ddp"):
+        refuse_processes(compose(["trainer.strategy=ddp_spawn"]), multirun=False)

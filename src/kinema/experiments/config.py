@@ -63,10 +63,22 @@ def validate(cfg: DictConfig) -> None:
         raise ValueError(f"seed={cfg.seed!r}; it must be an integer of at least 0")
 
 
-def refuse_ddp_in_multirun(cfg: DictConfig, multirun: bool) -> None:
-    """Refuse what trains on half of the data without an error: `ddp` relaunches the script inside a sweep."""
-    if multirun and str(cfg.trainer.strategy).startswith("ddp") and "spawn" not in str(cfg.trainer.strategy):
+def refuse_processes(cfg: DictConfig, multirun: bool) -> None:
+    """Refuse what would train wrongly without an error, or lose what it trained.
+
+    In a sweep, the processes that several devices need take the sweep's arguments and train each on a share of the
+    data; processes that are spawned keep the selected weights to themselves.
+    """
+    if "spawn" in str(cfg.trainer.strategy) or "fork" in str(cfg.trainer.strategy):
         raise ValueError(
-            f"trainer.strategy={cfg.trainer.strategy} inside a multirun would train each process on a share of the "
-            "data alone; use trainer.strategy=ddp_spawn, launcher=slurm, or one run at a time"
+            f"trainer.strategy={cfg.trainer.strategy} leaves the selected weights in its processes; "
+            "use trainer.strategy=ddp"
+        )
+    devices = cfg.trainer.devices
+    alone = devices in (1, "1") or (OmegaConf.is_list(devices) and len(devices) == 1)
+    if multirun and (not alone or cfg.trainer.num_nodes > 1 or str(cfg.trainer.strategy).startswith("ddp")):
+        raise ValueError(
+            f"trainer.devices={devices} with trainer.strategy={cfg.trainer.strategy} inside a multirun would train "
+            "each process on a share of the data alone; use trainer.devices=1 trainer.strategy=auto (and "
+            "launcher=slurm or joblib for many runs at once), or one run at a time"
         )

@@ -47,7 +47,7 @@ def describe(cfg: DictConfig) -> Row:
     given = plain(cfg.get("evaluators") or {})
     runs |= {stage: Path(given[key]) for stage, key in (("matching", "t2m"), ("contrastive", "clip")) if given.get(key)}
     for name in NEEDS.get(cfg.source, ("generator",)):
-        runs[name] = Path(cfg.run) if cfg.get("run") else stage_folder(cfg, STAGES[name], corpus).path
+        runs[name] = _given_run(cfg, name) or stage_folder(cfg, STAGES[name], corpus).path
     protocol = plain(cfg.scale.protocol)
     replications = protocol.pop("replications")
     identity = {
@@ -58,11 +58,22 @@ def describe(cfg: DictConfig) -> Row:
         "sampling": plain(cfg.generator.sampling) if cfg.source == "generation" else None,
         "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
     }
+    if any(given.values()):
+        # Imported judges have no fingerprint that would hold what they read captions with.
+        identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}
     own_run = cfg.source == "generation" or (cfg.source in NEEDS and NEEDS[cfg.source])
-    who = f"-{runs['generator'].name if cfg.get('run') else cfg.method.name}" if own_run else ""
+    who = f"-{Path(cfg.run).name if cfg.get('run') else cfg.method.name}" if own_run else ""
     name = f"{cfg.source}{who}-{cfg.representation.kind}-s{cfg.seed}-{fingerprint(identity)}"
     root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
     return Row(RunFolder(root / "evaluation" / name), runs, replications)
+
+
+def _given_run(cfg: DictConfig, stage: str) -> Path | None:
+    """Give the run that `run=` names, or the tokenizer of the generator that it names."""
+    if not cfg.get("run"):
+        return None
+    links = upstream(Path(cfg.run))
+    return links["tokenizer"] if stage == "tokenizer" and "tokenizer" in links else Path(cfg.run)
 
 
 def _identity_of(run: Path) -> str:
@@ -70,6 +81,8 @@ def _identity_of(run: Path) -> str:
     if (run / "config.yaml").exists() or not (run / "weights.safetensors").exists():
         return run.name
     digest = hashlib.sha256((run / "weights.safetensors").read_bytes())
+    if (run / "text.json").exists():
+        digest.update((run / "text.json").read_bytes())
     for link in upstream(run).values():
         digest.update(_identity_of(link).encode())
     return digest.hexdigest()
@@ -120,7 +133,6 @@ def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:
     resolved = plain(cfg)
     resolved.pop("hydra", None)
     OmegaConf.save(OmegaConf.create(resolved), row.folder.path / "config.yaml")
-    # Lines may have been deleted or torn: what is kept is written back whole before anything is added.
     scorer = Scorer(cfg, row.runs, open_corpus(cfg))
     software = versions()
     for replication in missing:

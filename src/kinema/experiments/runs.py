@@ -75,7 +75,8 @@ class RunFolder:
 
 def global_rank() -> int:
     """Give this process' rank as torchrun, Slurm or Lightning's launcher set it; 0 where nothing did."""
-    for name in ("RANK", "SLURM_PROCID", "LOCAL_RANK"):
+    # SLURM_PROCID may be set (to 0) where Slurm does not start the ranks, as in an interactive shell.
+    for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID"):
         if os.environ.get(name, "").isdigit():
             return int(os.environ[name])
     return 0

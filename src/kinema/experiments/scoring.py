@@ -127,6 +127,8 @@ class Scorer:
 
             pipeline = TextToMotion.from_run(runs["generator"], device=self.device)
             sampling = build(plain(cfg.generator.sampling))
+            if hasattr(pipeline.generator, "process"):  # a solver of another method's process is refused at once
+                pipeline.generator.process.resolve(sampling.solver, sampling.solver_steps)
             # The run's own text encoder, which need not be the configuration's (an imported run).
             text = encode_captions(cached(cfg, pipeline.text_encoder), self.store, self.protocol.split)
             return sources.Generated(pipeline.generator, pipeline.tokenizer, text, sampling=sampling)

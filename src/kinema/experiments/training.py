@@ -118,7 +118,9 @@ def make_module(
         tokenizer, _ = read_model(upstream["tokenizer"].path)
         clips = [ClipDataset(store, split) for split in ("train", "val")]
         # Runs on one tokenizer and corpus share the cache: it belongs to the tokenizer's run.
-        cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, device)
+        # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
+        with upstream["tokenizer"].lock():
+            cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, device)
         latents = cache
         model.set_latent_range(*cache.range())
     return GeneratorModule(model, recipe, cfg.seed, latents, text)

@@ -31,6 +31,10 @@ class EMA(WeightAveraging):
         decay = min(self.decay, (1 + int(count)) / (10 + int(count))) if self.warmup else self.decay
         return torch.lerp(average, current, 1 - decay)
 
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Follow the module to its device: Lightning copies it before it moves it."""
+        self._average_model.to(pl_module.device)
+
     def averaged(self) -> LightningModule:
         """Give the averaged copy of the module."""
         return self._average_model.module

@@ -18,7 +18,7 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         """Write the checkpoint so that a reader sees the old file or the new one, never a part."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary = path.with_name(f".{path.name}.partial")  # one writer a run: a killed one's is overwritten
         try:
             with open(temporary, "wb") as file:
                 torch.save(checkpoint, file)

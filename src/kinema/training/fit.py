@@ -119,6 +119,12 @@ def fit(
         raise InterruptedError(f"training stopped at step {trainer.global_step} of {recipe.steps}; run again to resume")
     if recipe.select == "best" and best.weights:
         return Fitted(best.weights, best.step, record.seconds, best.value)
+    broken = [name for name, value in module.model.named_parameters() if not torch.isfinite(value).all()]
+    if broken:
+        raise ValueError(
+            f"training diverged: {broken[0]} is not finite after step {trainer.global_step}; lower train.lr or set "
+            f"train.clip, and delete {last} to start anew"
+        )
     weights = {k: v.detach().cpu().clone() for k, v in module.model.state_dict().items()}
     loss = trainer.callback_metrics.get("val/loss")
     return Fitted(weights, trainer.global_step, record.seconds, None if loss is None else float(loss))

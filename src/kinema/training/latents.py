@@ -53,18 +53,17 @@ class LatentCache:
 
     @classmethod
     def ensure(cls, folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str) -> LatentCache:
-        """Encode all crops of the data sets once, in a fixed order; an interrupted attempt leaves nothing behind."""
+        """Encode all crops of the data sets once, in a fixed order; the caller holds the tokenizer run's lock.
+
+        An interrupted attempt is thrown away by the next.
+        """
         if not (folder / "meta.json").exists():
-            temporary = folder.with_name(f".{folder.name}.{os.getpid()}")
+            temporary = folder.with_name(f"{folder.name}.partial")
             shutil.rmtree(temporary, ignore_errors=True)
             temporary.mkdir(parents=True)
-            try:
-                cls._write(temporary, tokenizer, clips, device)
-                if not (folder / "meta.json").exists():
-                    shutil.rmtree(folder, ignore_errors=True)
-                    os.replace(temporary, folder)
-            finally:
-                shutil.rmtree(temporary, ignore_errors=True)
+            cls._write(temporary, tokenizer, clips, device)
+            shutil.rmtree(folder, ignore_errors=True)
+            os.replace(temporary, folder)
         return cls(folder)
 
     @staticmethod
