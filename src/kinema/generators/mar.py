@@ -13,8 +13,10 @@ from kinema.decoding.unmasking import Draws, SampleDraws, UnmaskingStep, unmask
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.diffusion.guidance import guided
-from kinema.generators.mar_sampling import MarSampling, latent_lengths, plan, start
-from kinema.generators.mar_training import MarDraws, check_latents, corrupt, mean_rows, training_mask
+from kinema.generators.checks import latent_lengths
+from kinema.generators.mar_sampling import MarSampling, plan, start
+from kinema.generators.mar_training import MarDraws, check_latents, corrupt, training_mask
+from kinema.generators.reduction import mean_over_ranks
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
@@ -147,7 +149,7 @@ class MaskedAutoregressive(nn.Module):
         pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
         z = self(corrupt(x1, mask, self.mask_latent, draws), pooled, real)
         rows = self._diffusion_loss(x1[mask], z[mask], draws.diffusion_time[mask], draws.diffusion_noise[mask])
-        return {"loss": rows.sum() / mean_rows(len(rows), shard[1], rows.device).clamp(min=1 / shard[1])}
+        return {"loss": mean_over_ranks(rows, shard[1])}
 
     def sample(
         self,

@@ -42,18 +42,6 @@ class MarSampling:
             raise ValueError(f"sampling.edit_fraction is {self.edit_fraction}; give a share in (0, 1] or None")
 
 
-def latent_lengths(frames: Int[Tensor, " b"], downsample: int, max_latents: int) -> Int[Tensor, " b"]:
-    """Count the whole latents in `frames`; raise ValueError for less than one or more than `max_latents`."""
-    lengths = frames // downsample
-    wrong = frames[(lengths < 1) | (lengths > max_latents)]
-    if len(wrong):
-        raise ValueError(
-            f"cannot generate {wrong[0].item()} frames; give {downsample} to {max_latents * downsample} frames "
-            f"(1 to {max_latents} latents)"
-        )
-    return lengths
-
-
 def start(lengths: Int[Tensor, " b"], width: int, downsample: int, known: Known | None) -> tuple[Latents, Tensor]:
     """Make the latents to start from (known ones, zeros elsewhere) and the mask of the positions that are free."""
     positions = int(lengths.max())

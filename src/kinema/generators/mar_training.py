@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
-from torch import Tensor, distributed
+from torch import Tensor
 
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
@@ -81,15 +81,6 @@ def corrupt(
     hidden = mask & ~draws.to_noise & draws.to_mask
     latents = torch.where(noised[..., None], draws.corruption.to(latents.dtype), latents)
     return torch.where(hidden[..., None], mask_latent.to(latents.dtype), latents)
-
-
-def mean_rows(count: int, world: int, device: torch.device) -> Tensor:
-    """Give the mean number of rows per rank; without a process group this rank's own."""
-    rows = torch.tensor(float(count), device=device)
-    if world > 1 and distributed.is_available() and distributed.is_initialized():
-        distributed.all_reduce(rows)
-        rows /= world
-    return rows
 
 
 def check_latents(latents: Latents, channels: int, max_latents: int) -> None:

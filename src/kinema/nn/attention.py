@@ -1,10 +1,33 @@
-"""Attend over sequences: one multi-head module for self- and cross-attention."""
+"""Attend over sequences: one multi-head module for self- and cross-attention, with a key-value cache."""
 
 from __future__ import annotations
 
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+
+class KeyValueCache:
+    """Keep one attention layer's keys and values of the positions seen so far, at most `size`."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.length = 0
+        self.keys: Tensor | None = None
+        self.values: Tensor | None = None
+
+    def append(self, keys: Float[Tensor, "b h n d"], values: Float[Tensor, "b h n d"]) -> tuple[Tensor, Tensor]:
+        """Add new positions and give all; raises ValueError beyond `size`."""
+        if self.keys is None:
+            shape = (*keys.shape[:2], self.size, keys.shape[3])
+            self.keys, self.values = keys.new_empty(shape), values.new_empty(shape)
+        end = self.length + keys.shape[2]
+        if end > self.size:
+            raise ValueError(f"a cache of {self.size} positions cannot take {end}; make it larger")
+        self.keys[:, :, self.length : end] = keys
+        self.values[:, :, self.length : end] = values
+        self.length = end
+        return self.keys[:, :, :end], self.values[:, :, :end]
 
 
 class Attention(nn.Module):
@@ -29,10 +52,13 @@ class Attention(nn.Module):
         x: Float[Tensor, "b q w"],
         mask: Bool[Tensor, "..."] | None = None,
         context: Float[Tensor, "b k w"] | None = None,
+        cache: KeyValueCache | None = None,
     ) -> Float[Tensor, "b q w"]:
         """Attend from `x` to `context` (itself by default); `mask`, True = may be seen, broadcasts to (b, heads, q, k).
 
-        A mask over keys alone has the shape (b, k); one over pairs (b, q, k) or (b, heads, q, k).
+        A mask over keys alone has the shape (b, k); one over pairs (b, q, k) or (b, heads, q, k). With a `cache` (self-
+        attention) the keys are all positions it holds, those of `x` appended; a query that is refused every key gets
+        zeros before the output projection.
         """
         context = x if context is None else context
         if mask is not None and mask.ndim < 4:
@@ -41,6 +67,8 @@ class Attention(nn.Module):
             layer(source).unflatten(-1, (self.heads, -1)).transpose(1, 2)
             for layer, source in ((self.query, x), (self.key, context), (self.value, context))
         )
+        if cache is not None:
+            key, value = cache.append(key, value)
         dropout = self.dropout if self.training else 0.0
         attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask, dropout_p=dropout)
         return F.dropout(self.proj(attended.transpose(1, 2).flatten(2)), dropout)

@@ -47,12 +47,14 @@ class AutoEncoder(nn.Module):
         self.root_weight = root_weight
         self.mask_padding = mask_padding
 
-    def loss(self, motion: MotionBatch) -> Losses:
+    def loss(
+        self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
+    ) -> Losses:
         """Give SmoothL1 over all dims plus `joint_weight` times SmoothL1 over the joint positions (MARDM §3).
 
         The paper's Eq. 8 is L1; the published code, which this follows, takes SmoothL1 and adds the joints' term.
         `root_weight` adds the same term for the four root dims (not published: 0): a small autoencoder spends little on
-        4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames only.
+        4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames only; nothing is drawn.
         """
         target = self.representation.normalize(motion.features, motion.lengths)
         counts = motion.lengths // self.downsample

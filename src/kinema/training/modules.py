@@ -106,7 +106,7 @@ class TokenizerModule(StageModule):
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
         """Reconstruct the windows."""
-        return self.model_loss(batch)
+        return self.model_loss(batch, generator=generator, shard=shard)
 
 
 class EvaluatorModule(StageModule):

@@ -36,8 +36,10 @@ class DecompositionAutoencoder(nn.Module):
         self.movement_encoder = MovementEncoder(_inputs(representation, drop_contacts), width, latent_dim)
         self.movement_decoder = MovementDecoder(latent_dim, width, representation.width)
 
-    def loss(self, batch: MotionBatch) -> Losses:
-        """Give L1 plus 0.001 mean|z| (sparsity) plus 0.001 L1 of consecutive codes (smoothness)."""
+    def loss(
+        self, batch: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
+    ) -> Losses:
+        """Give L1 plus 0.001 mean|z| (sparsity) plus 0.001 L1 of consecutive codes (smoothness); nothing is drawn."""
         target = self.representation.normalize(batch.features, batch.lengths)
         codes = self.movement_encoder(target[..., :-CONTACTS] if self.drop_contacts else target)
         output = self.movement_decoder(codes)

@@ -1,0 +1,77 @@
+"""Build the transformer blocks of the token methods: pre-norm (T2M-GPT, AttT2M, MMM, BAD), post-norm (MoMask, BAMM)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from kinema.nn.attention import Attention, KeyValueCache
+
+NORMS = ("pre", "post")
+
+
+class TransformerBlock(nn.Module):
+    """Attend (to oneself, or with `cross` to a context), then transform each position.
+
+    norm="pre" (COMMON §5): x += attention(norm1 x); x += mlp(norm2 x); a context is normed by norm3; dropout acts on
+    the attention and on what a branch adds. norm="post" (torch's encoder layer, MoMask §2): x = norm1(x +
+    attention(x)); x = norm2(x + mlp(x)); dropout acts inside the mlp too.
+    """
+
+    def __init__(
+        self, width: int, heads: int, feedforward: int, dropout: float = 0.0, *, norm: str = "pre", cross: bool = False
+    ) -> None:
+        super().__init__()
+        if norm not in NORMS:
+            raise ValueError(f"norm {norm!r} is unknown; choose one of {', '.join(NORMS)}")
+        self.pre = norm == "pre"
+        self.attention = Attention(width, heads, dropout)
+        self.norm1 = nn.LayerNorm(width)
+        self.norm2 = nn.LayerNorm(width)
+        self.norm3 = nn.LayerNorm(width) if cross else None
+        self.mlp = nn.Sequential(
+            nn.Linear(width, feedforward),
+            nn.GELU(),
+            nn.Dropout(0.0 if self.pre else dropout),
+            nn.Linear(feedforward, width),
+            nn.Dropout(dropout),
+        )
+
+    def forward(
+        self,
+        x: Float[Tensor, "b q w"],
+        mask: Bool[Tensor, "..."] | None = None,
+        context: Float[Tensor, "b k w"] | None = None,
+        cache: KeyValueCache | None = None,
+    ) -> Float[Tensor, "b q w"]:
+        """Transform `x`; masks as in `Attention`."""
+        if self.norm3 is not None:
+            context = self.norm3(context)
+        if self.pre:
+            x = x + self.attention(self.norm1(x), mask, context, cache)
+            return x + self.mlp(self.norm2(x))
+        x = self.norm1(x + self.attention(x, mask, context, cache))
+        return self.norm2(x + self.mlp(x))
+
+
+def run(
+    blocks: Sequence[TransformerBlock],
+    x: Float[Tensor, "b q w"],
+    mask: Bool[Tensor, "..."] | None = None,
+    caches: Sequence[KeyValueCache] | None = None,
+) -> Float[Tensor, "b q w"]:
+    """Send `x` through self-attention blocks, each with its own cache if there are any."""
+    for i, block in enumerate(blocks):
+        x = block(x, mask, cache=caches[i] if caches else None)
+    return x
+
+
+def initialize(module: nn.Module, std: float = 0.02) -> None:
+    """Draw Linear and Embedding weights from N(0, std), biases 0; norms start at one and zero (COMMON §5)."""
+    for part in module.modules():
+        if isinstance(part, nn.Linear | nn.Embedding):
+            nn.init.normal_(part.weight, std=std)
+            if getattr(part, "bias", None) is not None:
+                nn.init.zeros_(part.bias)
