@@ -9,7 +9,8 @@ from kinema.decoding.draws import SeededDraws, categorical, uniform
 
 def test_numbers_are_uniform_and_uncorrelated():
     u = uniform(torch.arange(400), 3, 500)
-    assert u.min() > 0 and u.max() < 1
+    assert u.min() > 0
+    assert u.max() < 1
     histogram = torch.histc(u, 20, 0, 1) / u.numel()
     assert (histogram - 0.05).abs().max() < 0.002
     for a, b in ((u[:, :-1], u[:, 1:]), (u[:-1], u[1:]), (u, uniform(torch.arange(400), 4, 500))):

@@ -10,7 +10,7 @@ import torch
 from kinema.decoding.unmasking import SampleDraws
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
-from kinema.generators import mar_training
+from kinema.generators import mar_training, reduction
 from kinema.generators.mar import MarSampling, MaskedAutoregressive
 from kinema.generators.mar_training import MarDraws, corrupt, training_mask
 from kinema.types import Known, Latents, TextFeatures, frame_mask
@@ -140,11 +140,11 @@ def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
 
     whole = loss([0, 1, 2, 3], (0, 1))
     counts = []
-    monkeypatch.setattr(mar_training.distributed, "is_initialized", lambda: True)
-    monkeypatch.setattr(mar_training.distributed, "all_reduce", lambda rows: counts.append(rows.item()))
+    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: counts.append(rows.item()))
     for rank in (0, 1):
         loss([2 * rank, 2 * rank + 1], (rank, 2))
-    monkeypatch.setattr(mar_training.distributed, "all_reduce", lambda rows: rows.fill_(sum(counts)))
+    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: rows.fill_(sum(counts)))
     ranks = [loss([2 * rank, 2 * rank + 1], (rank, 2)) for rank in (0, 1)]
     assert counts[0] != counts[1]
     close(torch.stack(ranks).mean(), whole)

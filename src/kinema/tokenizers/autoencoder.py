@@ -54,7 +54,7 @@ class AutoEncoder(nn.Module):
 
         The paper's Eq. 8 is L1; the published code, which this follows, takes SmoothL1 and adds the joints' term.
         `root_weight` adds the same term for the four root dims (not published: 0): a small autoencoder spends little on
-        4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames only; nothing is drawn.
+        4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames.
         """
         target = self.representation.normalize(motion.features, motion.lengths)
         counts = motion.lengths // self.downsample
