@@ -33,13 +33,14 @@ MAY_IMPORT = {
     "decoding": {*FOUNDATION, "diffusion"},
     "text": {"types", "build", "motion"},
     "tokenizers": MODEL,
-    "generators": MODEL,
+    "generators": {*MODEL, "text"},  # MotionGPT reads strings
     "artifacts": {*FOUNDATION, "motion"},
     "folders": {*FOUNDATION, "motion", "artifacts"},
 }
 MAY_IMPORT["editing"] = {*MODEL, "tokenizers", "generators"}
 MAY_IMPORT["requests"] = {*MAY_IMPORT["editing"], "editing", "text"}
-BESIDE = {*MAY_IMPORT["requests"], "requests", "artifacts", "folders"}
+MAY_IMPORT |= {"chaining": {"types"}, "compatibility": set(), "kept": {"types"}}
+BESIDE = {*MAY_IMPORT["requests"], "requests", "artifacts", "folders", "chaining", "compatibility", "kept"}
 MAY_IMPORT["pipeline"] = BESIDE
 MAY_IMPORT["interop"] = {*BESIDE, "data", "evaluation"}
 MAY_IMPORT["evaluation"] = {*BESIDE, "pipeline", "data"}

@@ -13,14 +13,17 @@ import torch
 from torch import Tensor, nn
 
 from kinema import artifacts
+from kinema.chaining import bridges, join
+from kinema.compatibility import check_pair, check_representation
 from kinema.editing import edited_frames, kept_latents, resolve_ranges, stack_sources
 from kinema.folders import load_part, new_folder, read_json, write_json
+from kinema.kept import encode_kept
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.requests import batches, check_length, frame_counts, paired, sample_seeds
 from kinema.text.encoders import FrozenTextEncoder, build_text_encoder, check_texts
-from kinema.types import Known, Latents, Motion, MotionBatch
+from kinema.types import Latents, Motion, MotionBatch
 
 
 class TextToMotion:
@@ -37,6 +40,7 @@ class TextToMotion:
         length_estimator: nn.Module | None = None,
         meta: dict[str, Any] | None = None,
     ) -> None:
+        check_pair(tokenizer, generator)
         self.tokenizer = tokenizer
         self.generator = generator
         self.text_encoder = text_encoder
@@ -76,7 +80,9 @@ class TextToMotion:
         batch_size: int = 32,
         **sampling: Any,
     ) -> list[Motion]:
-        """Generate one motion per text, `frames` or `seconds` long (one value, or one per text; else estimated).
+        """Generate one motion per text, `frames` or `seconds` long (one value, or one per text).
+
+        Without a length, a generator that ends its sequences itself decides, else the length estimator.
 
         Keyword arguments replace fields of the generator's sampling. The same seed gives the same list; a motion's
         own `seed` gives it again alone. Raises ValueError for empty texts, lengths out of range, unknown fields.
@@ -91,9 +97,44 @@ class TextToMotion:
                 text = self.text_encoder(texts[part]).to(self.device)
                 drawn = torch.tensor(seeds[part])
                 wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts[part])
-                latents = self.generator.sample(text, self._whole(wanted), seeds=drawn, sampling=options)
-                motions += self._motions(self._decode(latents, wanted), texts[part], seeds[part])
+                asked = None if wanted is None else self._whole(wanted)
+                latents = self.generator.sample(text, asked, seeds=drawn, sampling=options)
+                decoded = self._decode(latents, latents.frames if wanted is None else wanted)
+                motions += self._motions(decoded, texts[part], seeds[part])
         return motions
+
+    def chain(
+        self,
+        texts: Sequence[str],
+        frames: int | Sequence[int] | None = None,
+        *,
+        seconds: float | Sequence[float] | None = None,
+        transition: int = 2,
+        seed: int | None = None,
+        **sampling: Any,
+    ) -> Motion:
+        """Generate one long motion: a part per text, joined by generated transitions of `transition` latents.
+
+        Each part is generated alone; between two neighbours the last half of the one and the first half of the other
+        are known and the latents between them are generated to the text of the first (BAD §5, MMM). All latents are
+        decoded at once. The motion may be longer than any clip of the training.
+        """
+        texts = check_texts(list(texts))
+        options = self._sampling(sampling)
+        seeds = sample_seeds(seed, len(texts))
+        counts = self._lengths(frames, seconds, len(texts))
+        with self._inference():
+            text, drawn = self.text_encoder(texts).to(self.device), torch.tensor(seeds)
+            wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts)
+            asked = None if wanted is None else self._whole(wanted)
+            parts = self.generator.sample(text, asked, seeds=drawn, sampling=options)
+            if len(texts) > 1:
+                known = bridges(parts, transition, self.max_frames // self.tokenizer.downsample)
+                first = self.text_encoder(texts[:-1]).to(self.device)
+                bridged = self.generator.sample(first, None, seeds=drawn[:-1], known=known, sampling=options)
+                parts = join(parts, bridged, ~known.mask & known.latents.mask)
+            (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]])
+        return motion
 
     def edit(
         self,
@@ -130,12 +171,12 @@ class TextToMotion:
         source, counts, filled = stack_sources(motions, self.tokenizer.representation.width, unit)
         regenerate = edited_frames(ranges, source.shape[1])
         source, regenerate = source.to(self.device), regenerate.to(self.device)
-        latents = self.tokenizer.encode(MotionBatch(source, filled.to(self.device)))
+        whole = MotionBatch(source, filled.to(self.device))
         latents = self.generator.sample(
             self.text_encoder(texts).to(self.device),
-            filled.to(self.device),
+            whole.lengths,
             seeds=torch.tensor(seeds),
-            known=Known(latents, kept_latents(regenerate, unit)),
+            known=encode_kept(self.tokenizer, whole, kept_latents(regenerate, unit)),
             sampling=options,
         )
         result = self._decode(latents, counts)
@@ -166,11 +207,14 @@ class TextToMotion:
 
     def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
         counts = frame_counts(frames, seconds, size, fps=self.skeleton.fps, maximum=self.max_frames)
-        if counts is None and self.length_estimator is None:
+        ends_itself = getattr(self.generator, "predicts_length", False)
+        if counts is None and self.length_estimator is None and not ends_itself:
             raise ValueError("no length: give frames= or seconds=, or a length estimator (length=RUN, --length RUN)")
         return counts
 
-    def _estimated(self, text: Any, seeds: Tensor) -> Tensor:
+    def _estimated(self, text: Any, seeds: Tensor) -> Tensor | None:
+        if getattr(self.generator, "predicts_length", False):
+            return None
         # The published estimator knows a class 0 (MARDM §6); no motion has no frames.
         return self.length_estimator.predict(text, seeds).cpu().clamp(self.tokenizer.downsample, self.max_frames)
 
@@ -216,6 +260,10 @@ class TextToMotion:
         for file, key, names in (("upstream.json", "tokenizer", upstream), ("text.json", "encoder", text)):
             if key not in names:
                 raise ValueError(f"{folder / file} names no {key}; train or import this run again")
+        tokenizer = load_part(folder / upstream["tokenizer"], device)[0]
+        check_representation(meta.get("representation"), tokenizer)
+        if "residual" in upstream:
+            generator = _with_residual(generator, load_part(folder / upstream["residual"], device)[0])
         where = length or (folder / upstream["length"] if "length" in upstream else None)
         encoder = build_text_encoder(text["encoder"], text.get("path"), device)
         if meta.get("text", encoder.identity) != encoder.identity:
@@ -223,7 +271,7 @@ class TextToMotion:
                 f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}"
             )
         return cls(
-            load_part(folder / upstream["tokenizer"], device)[0],
+            tokenizer,
             generator,
             encoder,
             load_part(Path(where), device)[0] if where else None,
@@ -258,6 +306,15 @@ def best_device(device: torch.device | str | None = None) -> torch.device:
     except (RuntimeError, AssertionError) as error:  # torch built without CUDA asserts
         reason = str(error).splitlines()[0]
         raise ValueError(f"device {str(device)!r} cannot be used here ({reason}); choose {best_device()}") from None
+
+
+def _with_residual(base: nn.Module, residual: nn.Module) -> nn.Module:
+    """Let a residual transformer complete the codes of a base generator."""
+    from kinema.generators.cascade import Cascade
+
+    both = Cascade(base=base, residual=residual)
+    both.spec = {"_target_": "kinema.generators.cascade.Cascade", "base": _spec(base), "residual": _spec(residual)}
+    return both.to(next(base.parameters()).device).eval()
 
 
 def _spec(module: nn.Module) -> dict[str, Any]:

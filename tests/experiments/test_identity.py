@@ -12,7 +12,8 @@ from kinema.experiments.stages import STAGES
 
 
 def named(stage: str, *overrides: str, corpus: str = "corpus") -> str:
-    return fingerprint(stage_identity(compose(list(overrides)), STAGES[stage], corpus))
+    own = ["method=momask"] if stage == "residual" else []
+    return fingerprint(stage_identity(compose([*own, *overrides]), STAGES[stage], corpus))
 
 
 @pytest.fixture(scope="module")

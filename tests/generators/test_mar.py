@@ -10,7 +10,7 @@ import torch
 from kinema.decoding.unmasking import SampleDraws
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
-from kinema.generators import mar_training, reduction
+from kinema.generators import reduction
 from kinema.generators.mar import MarSampling, MaskedAutoregressive
 from kinema.generators.mar_training import MarDraws, corrupt, training_mask
 from kinema.types import Known, Latents, TextFeatures, frame_mask

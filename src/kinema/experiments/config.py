@@ -10,7 +10,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[3] / "conf"
 SCALES = ("paper", "tiny", "smoke")
-STAGES = ("tokenizer", "generator", "length", "decomposition", "matching", "contrastive")
+STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation")
 
 

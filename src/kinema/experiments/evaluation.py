@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus, require_captions
-from kinema.experiments.identity import fingerprint
+from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.run import command, run_stage, stage_folder
 from kinema.experiments.runs import RunFolder, append_line, console, read_lines, upstream, versions
 from kinema.experiments.stages import STAGES
@@ -54,7 +53,7 @@ def describe(cfg: DictConfig) -> Row:
         "source": cfg.source,
         "corpus": corpus,
         "protocol": protocol,
-        "runs": {name: fingerprint(_identity_of(path)) for name, path in runs.items()},
+        "runs": {name: fingerprint(run_identity(path)) for name, path in runs.items()},
         "sampling": plain(cfg.generator.sampling) if cfg.source == "generation" else None,
         "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
     }
@@ -74,18 +73,6 @@ def _given_run(cfg: DictConfig, stage: str) -> Path | None:
         return None
     links = upstream(Path(cfg.run))
     return links["tokenizer"] if stage == "tokenizer" and "tokenizer" in links else Path(cfg.run)
-
-
-def _identity_of(run: Path) -> str:
-    """Identify a run: one of ours by its name, which ends in its fingerprint, an imported one by its weights."""
-    if (run / "config.yaml").exists() or not (run / "weights.safetensors").exists():
-        return run.name
-    digest = hashlib.sha256((run / "weights.safetensors").read_bytes())
-    if (run / "text.json").exists():
-        digest.update((run / "text.json").read_bytes())
-    for link in upstream(run).values():
-        digest.update(_identity_of(link).encode())
-    return digest.hexdigest()
 
 
 def run_evaluation(cfg: DictConfig) -> Row:

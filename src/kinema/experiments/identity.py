@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain
+from kinema.experiments.runs import upstream
 from kinema.experiments.stages import STAGES, Stage
 
 IDENTITY_VERSION = 1
@@ -42,5 +44,23 @@ def stage_identity(cfg: DictConfig, stage: Stage, corpus_hash: str) -> dict[str,
         "precision": cfg.trainer.precision,
         "debug": cfg.debug.steps,
         "reads": {key: plain(OmegaConf.select(cfg, key)) for key in stage.reads},
-        "upstream": {name: fingerprint(stage_identity(cfg, STAGES[name], corpus_hash)) for name in stage.upstream},
+        "upstream": {name: _upstream(cfg, STAGES[name], corpus_hash) for name in stage.upstream},
     }
+
+
+def _upstream(cfg: DictConfig, stage: Stage, corpus_hash: str) -> str:
+    if stage.name == "tokenizer" and cfg.get("tokenizer_run"):
+        return fingerprint(run_identity(Path(cfg.tokenizer_run)))
+    return fingerprint(stage_identity(cfg, stage, corpus_hash))
+
+
+def run_identity(run: Path) -> str:
+    """Identify a run: one of ours by its name, which ends in its fingerprint, an imported one by its weights."""
+    if (run / "config.yaml").exists() or not (run / "weights.safetensors").exists():
+        return run.name
+    digest = hashlib.sha256((run / "weights.safetensors").read_bytes())
+    if (run / "text.json").exists():
+        digest.update((run / "text.json").read_bytes())
+    for link in upstream(run).values():
+        digest.update(run_identity(link).encode())
+    return digest.hexdigest()

@@ -44,6 +44,8 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     """
     validate(cfg)
     stage = STAGES[name]
+    if not stage.present(cfg):
+        raise ValueError(f"method {cfg.method.name} has no stage {name}; choose a method with one, e.g. method=momask")
     store = open_corpus(cfg)
     folder = stage_folder(cfg, stage, manifest(store)["hash"])
     if folder.done:
@@ -53,7 +55,13 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     if stage.config(cfg).train.data == "clips":
         require_captions(store, "train", "val")
     upstream = {}
+    check_parts(cfg, stage)
     for needed in (*stage.upstream, *stage.companions):
+        if not STAGES[needed].present(cfg):
+            continue
+        if needed == "tokenizer" and cfg.tokenizer_run:
+            upstream[needed] = given_tokenizer(cfg)
+            continue
         found = stage_folder(cfg, STAGES[needed], manifest(store)["hash"])
         if not found.done and not cfg.ensure:
             raise FileNotFoundError(
@@ -69,6 +77,40 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
             return folder
         _train(cfg, stage, store, folder, upstream)
     return folder
+
+
+def given_tokenizer(cfg: DictConfig) -> RunFolder:
+    """Give the run that `tokenizer_run=` names (trained elsewhere, or imported)."""
+    run = RunFolder(Path(cfg.tokenizer_run).resolve())
+    if not run.weights.exists():
+        raise FileNotFoundError(
+            f"tokenizer_run={cfg.tokenizer_run} holds no {run.weights.name}; give the folder of a finished or imported "
+            "tokenizer"
+        )
+    return run
+
+
+def check_parts(cfg: DictConfig, stage: Stage) -> None:
+    """Check that a stage's model fits the tokenizer it will read, before either is trained."""
+    if "tokenizer" not in stage.upstream:
+        return
+    import torch
+
+    from kinema.build import build
+    from kinema.compatibility import check_pair
+    from kinema.experiments.instantiate import model_spec, read_model
+
+    with torch.device("meta"):
+        model = build(model_spec(cfg, stage))
+        tokenizer = None if cfg.tokenizer_run else build(model_spec(cfg, STAGES["tokenizer"]))
+    if tokenizer is None:
+        tokenizer, _ = read_model(given_tokenizer(cfg).path)
+        if tokenizer.representation.kind != cfg.representation.kind:
+            raise ValueError(
+                f"tokenizer_run={cfg.tokenizer_run} was trained on {tokenizer.representation.kind} dims, this "
+                f"configuration asks for representation={cfg.representation.kind}; choose one"
+            )
+    check_pair(tokenizer, model)
 
 
 def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> RunFolder:

@@ -11,7 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 class Stage:
     """Describe one stage: `node` is its config (model, train), `upstream` the stages whose runs it reads.
 
-    `companions` are stages that a user of the run wants beside it, without influence on its weights.
+    `companions` are stages that a user of the run wants beside it, without influence on its weights; a stage whose
+    model is null is none of the method's.
     """
 
     name: str
@@ -25,6 +26,10 @@ class Stage:
         """Give the stage's own part of the configuration."""
         return OmegaConf.select(cfg, self.node)
 
+    def present(self, cfg: DictConfig) -> bool:
+        """Say whether the configuration has this stage."""
+        return self.config(cfg).model is not None
+
 
 WORDS = ("evaluator.words", "evaluator.words_path")
 TOKENS = ("evaluator.tokens", "evaluator.tokens_path")
@@ -33,7 +38,8 @@ STAGES: dict[str, Stage] = {
     s.name: s
     for s in (
         Stage("tokenizer", "tokenizer"),
-        Stage("generator", "generator", ("tokenizer",), ("text",), companions=("length",)),
+        Stage("generator", "generator", ("tokenizer",), ("text",), companions=("length", "residual")),
+        Stage("residual", "residual", ("tokenizer",), ("text",), "residual"),
         Stage("length", "length", (), ("text",), "data"),
         Stage("decomposition", "evaluator.decomposition", (), (), "evaluator"),
         Stage(
@@ -51,7 +57,8 @@ STAGES: dict[str, Stage] = {
 def label(cfg: DictConfig, stage: Stage) -> str:
     """Name the run's folder before its fingerprint: <method>-<representation>-s<seed>."""
     who = {
-        "method": cfg.tokenizer.name if stage.name == "tokenizer" else cfg.method.name,
+        "method": cfg.tokenizer.name if stage.name == "tokenizer" else cfg.method.get("family", cfg.method.name),
+        "residual": f"{cfg.residual.name}_residual",
         "evaluator": f"evaluator_{cfg.evaluator.name}",
         "data": "length",
     }[stage.owner]

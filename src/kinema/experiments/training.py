@@ -12,6 +12,7 @@ from torch import nn
 
 from kinema import artifacts
 from kinema.build import build
+from kinema.compatibility import check_pair
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
@@ -73,7 +74,9 @@ def train_stage(
         return summary
     model.load_state_dict(fitted.weights)
     meta = {"stage": stage.name, "label": folder.path.name, "corpus": store.manifest["hash"], "step": fitted.step}
-    if stage.name in ("generator", "length"):
+    if "tokenizer" in upstream:
+        meta["representation"] = read_model(upstream["tokenizer"].path)[0].representation.identity()
+    if "text" in stage.reads:
         write_json(folder.path / "text.json", {"encoder": cfg.text.name, "path": cfg.text.path})
         meta["text"] = module.text.value.identity
     artifacts.save(model, spec, folder.weights, **meta)
@@ -114,16 +117,27 @@ def make_module(
     device = find_device(cfg.trainer.accelerator)
     text = encode_captions(text_encoder(cfg, device), store, "train", "val")
     latents: Any = crop_frames
-    if stage.name == "generator":
+    if "tokenizer" in upstream:
         tokenizer, _ = read_model(upstream["tokenizer"].path)
+        check_pair(tokenizer, model)
         clips = [ClipDataset(store, split) for split in ("train", "val")]
         # Runs on one tokenizer and corpus share the cache: it belongs to the tokenizer's run.
         # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
         with upstream["tokenizer"].lock():
             cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, device)
         latents = cache
-        model.set_latent_range(*cache.range())
+        prepare(model, tokenizer, cache)
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
+
+
+def prepare(model: nn.Module, tokenizer: nn.Module, cache: LatentCache) -> None:
+    """Give a generator what it keeps of its tokenizer, and load the weights it starts from."""
+    if hasattr(model, "set_latent_range"):
+        model.set_latent_range(*cache.range())
+    if hasattr(model, "set_codebook"):
+        model.set_codebook(tokenizer.codebook)
+    if hasattr(model, "load_pretrained"):
+        model.load_pretrained()
 
 
 def crop_frames(batch: Any) -> Any:

@@ -63,6 +63,7 @@ class MaskedAutoregressive(nn.Module):
         self.batch_multiplier = batch_multiplier
         self.max_latents = max_latents
         self.downsample = downsample
+        self.latent_dim = latent_dim
         self.mask_length = mask_length
         self.sampling = sampling or MarSampling()
         process.resolve(self.sampling.solver, self.sampling.solver_steps)

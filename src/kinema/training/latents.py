@@ -1,4 +1,7 @@
-"""Cache what a frozen tokenizer makes of every crop a clip can have (at most twelve), so that none is encoded twice."""
+"""Cache what a frozen tokenizer makes of every crop a clip can have (at most twelve), so that none is encoded twice.
+
+Continuous latents are kept as float32, codes as int32.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +30,7 @@ class LatentCache:
     def __init__(self, folder: Path) -> None:
         meta = json.loads((folder / "meta.json").read_text())
         self.downsample, self.dim = meta["downsample"], meta["dim"]
+        self.discrete = meta.get("discrete", False)
         self.values = np.load(folder / "values.npy", mmap_mode="r")
         keys = np.load(folder / "keys.npy")
         self.offsets = np.load(folder / "offsets.npy")
@@ -37,11 +41,12 @@ class LatentCache:
         keys = zip(batch.entries.tolist(), batch.starts.tolist(), batch.lengths.tolist(), strict=True)
         rows = [self.rows[key] for key in keys]
         lengths = batch.lengths // self.downsample
-        values = np.zeros((len(rows), int(lengths.max()), self.dim), np.float32)
+        values = np.zeros((len(rows), int(lengths.max()), self.dim), np.int64 if self.discrete else np.float32)
         for i, row in enumerate(rows):
             piece = self.values[self.offsets[row] : self.offsets[row + 1]]
             values[i, : len(piece)] = piece
-        return Latents(lengths=lengths, frames=batch.lengths, values=torch.from_numpy(values).to(lengths.device))
+        found = torch.from_numpy(values).to(lengths.device)
+        return Latents(lengths=lengths, frames=batch.lengths, **{"codes" if self.discrete else "values": found})
 
     def range(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Give the least and greatest value of each latent dimension."""
@@ -87,17 +92,24 @@ class LatentCache:
             motion = MotionBatch(
                 torch.from_numpy(features).to(device), torch.full((len(chunk),), frames, device=device)
             )
-            encoded = tokenizer.encode(motion).values.cpu().numpy()
+            latents = tokenizer.encode(motion)
+            discrete = latents.codes is not None
+            encoded = (latents.codes if discrete else latents.values).cpu().numpy()
             if values is None:
-                shape = (int(offsets[-1]), encoded.shape[-1])
-                values = np.lib.format.open_memmap(folder / "values.npy", "w+", np.float32, shape)
+                shape, kind = (int(offsets[-1]), encoded.shape[-1]), np.int32 if discrete else np.float32
+                values = np.lib.format.open_memmap(folder / "values.npy", "w+", kind, shape)
             for i, row in zip(chunk, encoded, strict=True):
                 values[offsets[i] : offsets[i + 1]] = row
             start += len(chunk)
         values.flush()
         np.save(folder / "keys.npy", np.array(crops, np.int64))
         np.save(folder / "offsets.npy", offsets.astype(np.int64))
-        meta = {"downsample": tokenizer.downsample, "dim": int(values.shape[1]), "crops": len(crops)}
+        meta = {
+            "downsample": tokenizer.downsample,
+            "dim": int(values.shape[1]),
+            "discrete": values.dtype == np.int32,
+            "crops": len(crops),
+        }
         (folder / "meta.json").write_text(json.dumps(meta))
 
 

@@ -1,0 +1,65 @@
+"""Join generated parts into one long motion: windows with room for a transition, and the parts with it in between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor
+
+from kinema.types import Known, Latents, frame_mask
+
+
+def bridges(parts: Latents, transition: int, most: int) -> Known:
+    """Make one window for each pair of neighbours: [last half | free latents | first half] (BAD §5).
+
+    A half is half of its part, less where the window would exceed `most` latents. Raises ValueError for a transition
+    that leaves no room for what it joins.
+    """
+    half = (most - transition) // 2
+    if transition < 1 or half < 1:
+        raise ValueError(f"a transition of {transition} latents does not fit; allowed: 1 to {most - 2}")
+    left = (parts.lengths[:-1] // 2).clamp(1, half)
+    right = (parts.lengths[1:] // 2).clamp(1, half)
+    lengths = left + transition + right
+    position = torch.arange(int(lengths.max()), device=lengths.device)
+    from_left = position - left[:, None] + parts.lengths[:-1, None]
+    from_right = position - (left + transition)[:, None]
+    is_left, is_right = from_left < parts.lengths[:-1, None], from_right >= 0
+    keep = (is_left | is_right) & frame_mask(lengths, len(position))
+    gathered = torch.where(
+        is_left[..., None], _take(_content(parts)[:-1], from_left), _take(_content(parts)[1:], from_right)
+    )
+    unit = _frames_per_latent(parts)
+    return Known(_with(Latents(lengths, lengths * unit), parts, gathered * keep[..., None]), keep)
+
+
+def join(parts: Latents, bridged: Latents, free: Bool[Tensor, "b n"]) -> Latents:
+    """Put what was generated between the parts (`free` in each window) between them: one sequence."""
+    content, between = _content(parts), _content(bridged)
+    pieces = []
+    for i, length in enumerate(parts.lengths.tolist()):
+        pieces.append(content[i, :length])
+        if i < len(between):
+            pieces.append(between[i][free[i]])
+    whole = torch.cat(pieces)[None]
+    lengths = torch.tensor([whole.shape[1]], device=parts.lengths.device)
+    return _with(Latents(lengths, lengths * _frames_per_latent(parts)), parts, whole)
+
+
+def _content(latents: Latents) -> Tensor:
+    return latents.values if latents.codes is None else latents.codes
+
+
+def _with(shape: Latents, like: Latents, content: Tensor) -> Latents:
+    return replace(shape, **{"values" if like.codes is None else "codes": content})
+
+
+def _frames_per_latent(latents: Latents) -> int:
+    return int(latents.frames[0] // latents.lengths[0])
+
+
+def _take(content: Tensor, index: Int[Tensor, "b n"]) -> Tensor:
+    index = index.clamp(0, content.shape[1] - 1)[..., None]
+    return content.gather(1, index.expand(-1, -1, content.shape[2]))

@@ -1,0 +1,44 @@
+"""Encode what an edit keeps: each stretch by itself, so that nothing of what is regenerated leaks into it."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor, nn
+
+from kinema.types import Known, Latents, MotionBatch
+
+
+def encode_kept(tokenizer: nn.Module, motion: MotionBatch, keep: Bool[Tensor, "b n"]) -> Known:
+    """Encode every stretch of kept latents (True) as a clip of its own, as the published editing does (BAD §5).
+
+    An encoder's latents look sideways: encoded within the whole clip, those beside an edit would know the frames that
+    it replaces. Positions that are not kept hold zeros.
+    """
+    unit, lengths = tokenizer.downsample, motion.lengths // tokenizer.downsample
+    keep = keep & (torch.arange(keep.shape[1], device=keep.device) < lengths[:, None])
+    rows, starts, ends = stretches(keep)
+    whole = Latents(lengths, lengths * unit)
+    if not len(rows):
+        # Nothing is kept; the shape of the latents is all that is needed.
+        latents = tokenizer.encode(motion)
+        return Known(latents, keep)
+    offsets = torch.arange(int((ends - starts).max()) * unit, device=keep.device)
+    frames = (starts * unit)[:, None] + offsets
+    inside = offsets < ((ends - starts) * unit)[:, None]
+    pieces = motion.features[rows[:, None], frames.clamp(max=motion.features.shape[1] - 1)] * inside[..., None]
+    encoded = tokenizer.encode(MotionBatch(pieces, (ends - starts) * unit))
+    found = encoded.values if encoded.codes is None else encoded.codes
+    latents = found.new_zeros(*keep.shape, found.shape[2])
+    latents[keep] = found[encoded.mask]
+    name = "values" if encoded.codes is None else "codes"
+    return Known(Latents(whole.lengths, whole.frames, **{name: latents}), keep)
+
+
+def stretches(keep: Bool[Tensor, "b n"]) -> tuple[Tensor, Tensor, Tensor]:
+    """Find the unbroken stretches of True: their rows, first positions and ends, in the mask's order."""
+    border = torch.zeros(len(keep), 1, dtype=torch.int8, device=keep.device)
+    steps = torch.cat((border, keep.to(torch.int8), border), dim=1).diff(dim=1)
+    rows, starts = (steps == 1).nonzero(as_tuple=True)
+    ends = (steps == -1).nonzero(as_tuple=True)[1]
+    return rows, starts, ends
