@@ -9,7 +9,7 @@ from torch.nn import functional as F
 
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock, initialize, run
-from kinema.types import TextFeatures
+from kinema.types import Losses, TextFeatures
 
 WORDS = ("real", "all")
 
@@ -104,6 +104,30 @@ class TokenTransformer(nn.Module):
         for block in self.cross_blocks:
             x = block(x, real, words)
         return x
+
+
+def with_end(
+    ids: Int[Tensor, "b n"], lengths: Int[Tensor, " b"], codebook_size: int
+) -> tuple[Int[Tensor, "b n1"], Bool[Tensor, "b n1"]]:
+    """Append a slot; write END after each sample's ids and PAD past it. Also give the mask of what may be seen."""
+    slots = torch.arange(ids.shape[1] + 1, device=ids.device)
+    end = lengths[:, None]
+    ids = torch.where(slots < end, F.pad(ids, (0, 1)), codebook_size + (slots > end).long())
+    return ids, slots <= end
+
+
+def code_losses(
+    logits: Float[Tensor, "b m k"], codes: Int[Tensor, "b n"], real: Bool[Tensor, "b n"], conditions: int = 1
+) -> Losses:
+    """Average cross entropy and accuracy over each sample's real positions, then over samples (MMM; BAD §3.7).
+
+    Logits are those of `conditions` tokens, the n positions and the END slot.
+    """
+    logits, target = logits[F.pad(real, (conditions, 1))], codes[real]
+    weight = (real / (len(real) * real.sum(dim=1, keepdim=True)))[real]
+    entropy = F.cross_entropy(logits.float(), target, reduction="none")
+    hits = (logits.argmax(-1) == target).float()
+    return {"loss": (weight * entropy).sum(), "accuracy": (weight * hits).sum()}
 
 
 def _with_positions(x: Float[Tensor, "b n w"]) -> Float[Tensor, "b n w"]:

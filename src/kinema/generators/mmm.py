@@ -1,0 +1,212 @@
+"""Generate codes by masked modelling (MMM): predict all masked tokens at once, keep the confident ones, repeat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from kinema.decoding.draws import SeededDraws, TokenDraws
+from kinema.decoding.token_unmasking import choice, unmask_tokens
+from kinema.generators.checks import check_codes, token_request
+from kinema.generators.token_transformer import TokenTransformer, code_losses, with_end
+from kinema.masking import lowest, masked_count, shrinking_counts
+from kinema.nn.mode import inference
+from kinema.types import Known, Latents, Losses, TextFeatures
+
+MASK_RATIOS = (0.5, 1.0)
+SPECIALS = 3  # END, PAD, MASK
+
+
+@dataclass(frozen=True)
+class MmmSampling:
+    """Choose how tokens are sampled: `steps` of unmasking at full length, `temperature` 0 for the likeliest codes."""
+
+    steps: int = 10
+    temperature: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
+        if self.temperature < 0:
+            raise ValueError(f"sampling.temperature is {self.temperature}; give 0 (the likeliest codes) or more")
+
+
+@dataclass
+class MmmDraws:
+    """Hold what a training step draws, over all `n` positions whether they are real or not."""
+
+    keep: Bool[Tensor, "b n"]
+    replacement: Int[Tensor, "b n"]
+    ratio: Float[Tensor, " b"]
+    order: Float[Tensor, "b n"]
+
+    @classmethod
+    def draw(
+        cls,
+        shape: tuple[int, int],
+        codebook_size: int,
+        *,
+        pkeep: float,
+        generator: torch.Generator | None,
+        device: torch.device,
+    ) -> MmmDraws:
+        """Draw for `shape` = (samples, positions); pkeep -1 draws one probability for the batch."""
+
+        def uniform(*size: int) -> Tensor:
+            return torch.rand(size, generator=generator, device=device)
+
+        low, high = MASK_RATIOS
+        return cls(
+            keep=uniform(*shape) < (uniform(1) if pkeep == -1 else pkeep),
+            replacement=torch.randint(codebook_size, shape, generator=generator, device=device),
+            ratio=low + (high - low) * uniform(shape[0]),
+            order=uniform(*shape),
+        )
+
+    def crop(self, rows: slice, positions: int) -> MmmDraws:
+        """Take the draws of some samples and of their first positions."""
+        cropped = {f.name: getattr(self, f.name)[rows] for f in fields(self)}
+        return MmmDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})
+
+
+class MaskedMotionModel(nn.Module):
+    """Masked transformer over the codes of a tokenizer whose codebook it reads (MMM).
+
+    In training a code is kept with probability `pkeep`, else replaced by a random one (-1: one probability per batch);
+    then a share U(0.5, 1) of the positions is masked. Lengths are frames // `downsample`, at most `max_latents`.
+    """
+
+    quantizers = 1
+    predicts_length = False
+
+    def __init__(
+        self,
+        *,
+        codebook_size: int,
+        code_dim: int,
+        text_dim: int,
+        token_dim: int,
+        width: int = 1024,
+        heads: int = 16,
+        feedforward: int = 4096,
+        cross_layers: int = 2,
+        base_layers: int = 7,
+        head_layers: int = 9,
+        dropout: float = 0.1,
+        words: str = "real",
+        pkeep: float = 0.5,
+        max_latents: int = 49,
+        downsample: int = 4,
+        sampling: MmmSampling | None = None,
+    ) -> None:
+        super().__init__()
+        if not (pkeep == -1 or 0 <= pkeep <= 1):
+            raise ValueError(f"pkeep is {pkeep}; give a probability in [0, 1], or -1 for a random one per batch")
+        self.codebook_size = codebook_size
+        self.pkeep = pkeep
+        self.max_latents = max_latents
+        self.downsample = downsample
+        self.sampling = sampling or MmmSampling()
+        self.mask_id = codebook_size + 2
+        self.transformer = TokenTransformer(
+            codebook_size=codebook_size,
+            code_dim=code_dim,
+            specials=SPECIALS,
+            text_dim=text_dim,
+            token_dim=token_dim,
+            width=width,
+            heads=heads,
+            feedforward=feedforward,
+            cross_layers=cross_layers,
+            base_layers=base_layers,
+            head_layers=head_layers,
+            dropout=dropout,
+            words=words,
+        )
+
+    @property
+    def codebook(self) -> Float[Tensor, "k d"]:
+        """Give the tokenizer's codebook (zeros until `set_codebook`)."""
+        return self.transformer.codebook
+
+    def set_codebook(self, codebook: Float[Tensor, "k d"]) -> None:
+        """Take over the tokenizer's codebook; call it before training."""
+        self.transformer.set_codebook(codebook)
+
+    def forward(
+        self, ids: Int[Tensor, "b n"], text: TextFeatures, lengths: Int[Tensor, " b"]
+    ) -> Float[Tensor, "b m k"]:
+        """Give logits at the sentence, the n positions and the END slot (m = n + 2); padding is seen by none."""
+        ids, visible = with_end(ids, lengths, self.codebook_size)
+        return self.transformer(ids, text, F.pad(visible, (1, 0), value=True))
+
+    def loss(
+        self,
+        latents: Latents,
+        text: TextFeatures,
+        *,
+        generator: torch.Generator | None = None,
+        shard: tuple[int, int] = (0, 1),
+        draws: MmmDraws | None = None,
+    ) -> Losses:
+        """Give the cross entropy of all codes, masked or not, mean per sample, then over the batch (MMM, Training).
+
+        Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
+        `shard` = (rank, world). Dropout is torch's own. `draws` replaces them all (tests).
+        """
+        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
+        batch, positions = codes.shape
+        if draws is None:
+            rank, world = shard
+            draws = MmmDraws.draw(
+                (batch * world, self.max_latents),
+                self.codebook_size,
+                pkeep=self.pkeep,
+                generator=generator,
+                device=codes.device,
+            ).crop(slice(rank * batch, (rank + 1) * batch), positions)
+        masked = lowest(draws.order, latents.mask, masked_count(latents.lengths, draws.ratio))
+        ids = torch.where(draws.keep, codes, draws.replacement).masked_fill(masked, self.mask_id)
+        return code_losses(self(ids, text, latents.lengths), codes, latents.mask)
+
+    def sample(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: MmmSampling | None = None,
+        draws: TokenDraws | None = None,
+    ) -> Latents:
+        """Generate codes for `frames` frames, or edit: regenerate the positions that `known.mask` leaves free.
+
+        A sample depends on its own seed only. `frames` None takes the lengths of `known`. Kept codes come back equal,
+        padding is 0. `draws` replaces what the seeds draw (tests).
+        """
+        sampling = sampling or self.sampling
+        device = self.codebook.device
+        request = token_request(
+            text,
+            frames,
+            seeds,
+            known,
+            codebook_size=self.codebook_size,
+            downsample=self.downsample,
+            max_latents=self.max_latents,
+            device=device,
+        )
+        text, codes, free = text.to(device), request.codes[..., 0], request.real & ~request.keep
+        counts = shrinking_counts(request.lengths.cpu(), sampling.steps, self.max_latents, free.sum(dim=1).cpu())
+
+        def predict(codes: Tensor, masked: Tensor, step: int) -> Float[Tensor, "b n k"]:
+            return self(codes.masked_fill(masked, self.mask_id), text, request.lengths)[:, 1:-1]
+
+        choose = choice(draws or SeededDraws(seeds), sampling.temperature)
+        with inference(self):
+            *_, (_, codes) = unmask_tokens(codes, free, counts.to(device), predict, choose)
+        return Latents(request.lengths, request.frames, codes=codes[..., None])
