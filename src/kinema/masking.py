@@ -7,6 +7,9 @@ import math
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import pad
+
+from kinema.types import frame_mask
 
 
 def cosine_ratio(time: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
@@ -48,3 +51,55 @@ def lowest(
 ) -> Bool[Tensor, "b n"]:
     """Mark the `count` eligible positions of lowest score in each row, all of them where they are fewer."""
     return (ranks(scores.masked_fill(~eligible, torch.inf)) < count[:, None]) & eligible
+
+
+DIRECTIONS = ("ge", "le")
+
+
+def hybrid_mask(
+    orders: Int[Tensor, "b n"],
+    masked: Bool[Tensor, "b n"],
+    lengths: Int[Tensor, " b"],
+    *,
+    conditions: int,
+    direction: str = "ge",
+    unmasked_see_masks: bool = False,
+) -> Bool[Tensor, "b m m"]:
+    """Say which column each row of [sentence, time?, tokens, END, PAD...] may see: bidirectional and permuted causal.
+
+    Everybody sees the conditions, the unmasked tokens and END (position `lengths`), nobody the padding. A masked row
+    sees the masked tokens of its own or a higher order ("ge"; "le": own or lower, BAD's z_0_attend_to_all off). The
+    time row sees all masks; the sentence and unmasked rows none, or all with `unmasked_see_masks` (BAD §3.6).
+    """
+    if direction not in DIRECTIONS:
+        raise ValueError(f"direction {direction!r} is unknown; choose one of {', '.join(DIRECTIONS)}")
+    ahead = (conditions, 0)
+    valid = pad(frame_mask(lengths + 1, orders.shape[1]), ahead, value=True)
+    hidden, orders = pad(masked, ahead), pad(orders, ahead)
+    rows, columns = orders[:, :, None], orders[:, None, :]
+    ordered = columns >= rows if direction == "ge" else columns <= rows
+    sees_masks = torch.where(hidden[:, :, None], ordered, unmasked_see_masks)
+    sees_masks[:, 1:conditions] = True
+    return valid[:, None] & (~hidden[:, None] | sees_masks)
+
+
+def official_inference_mask(
+    orders: Int[Tensor, "b n"],
+    free: Bool[Tensor, "b n"],
+    masked: Bool[Tensor, "b n"],
+    lengths: Int[Tensor, " b"],
+    *,
+    conditions: int,
+    direction: str = "ge",
+    unmasked_see_masks: bool = False,
+) -> Bool[Tensor, "b m m"]:
+    """Make the mask of BAD's published samplers, which differs from training once tokens are decoded (BAD §4).
+
+    It is that of the start, where all `free` tokens were masked: only the columns of decoded ones become visible, their
+    rows stay as they were. Column lengths + 1 is visible too: END, or the last token where a time token stands ahead.
+    """
+    start = hybrid_mask(
+        orders, free, lengths, conditions=conditions, direction=direction, unmasked_see_masks=unmasked_see_masks
+    )
+    shown = pad(free & ~masked, (conditions, 0)).scatter(1, lengths[:, None] + 1, True)
+    return start | shown[:, None]
