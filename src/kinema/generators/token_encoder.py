@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Bool, Float
@@ -84,3 +84,21 @@ class TokenEncoder(nn.Module):
     def _place(self, x: Float[Tensor, "b s w"], start: int) -> Float[Tensor, "b s w"]:
         positions = sinusoidal_positions(start + x.shape[1], x.shape[2], x.device)[start:]
         return self.dropout(x + positions.to(x.dtype))
+
+
+def guided_logits(
+    predict: Callable[..., Float[Tensor, "b n k"]],
+    tokens: Tensor,
+    text: Float[Tensor, "b t"],
+    *others: Tensor,
+    scale: float,
+) -> Float[Tensor, "b n k"]:
+    """Call `predict(tokens, text, *others)` with and without the text in one batch: empty + scale * (text - empty).
+
+    The empty condition is a zero text vector (MoMask §2); scale 1 costs one pass.
+    """
+    if scale == 1:
+        return predict(tokens, text, *others)
+    tokens, *others = (torch.cat((x, x)) for x in (tokens, *others))
+    conditional, empty = predict(tokens, torch.cat((text, torch.zeros_like(text))), *others).chunk(2)
+    return empty + scale * (conditional - empty)

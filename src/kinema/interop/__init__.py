@@ -36,7 +36,13 @@ class Kind:
 
 KINDS: dict[str, Kind] = {
     "mardm-ae": Kind("kinema.interop.autoencoder", ("ae",)),
+    "t2m-gpt-vq": Kind("kinema.interop.vq", ("net",)),
+    "mmm-vq": Kind("kinema.interop.vq", ("net",)),
+    "momask-rvq": Kind("kinema.interop.rvq", ("vq_model", "net")),
     "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm")),
+    "momask": Kind("kinema.interop.momask", ("t2m_transformer", "trans")),
+    "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",)),
+    "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",)),
     "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",)),
     "t2m-evaluator": Kind(
         "kinema.interop.t2m_evaluator", ("movement_encoder", "text_encoder", "motion_encoder"), several=True
