@@ -42,7 +42,10 @@ KINDS: dict[str, Kind] = {
     "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm")),
     "momask": Kind("kinema.interop.momask", ("t2m_transformer", "trans")),
     "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",)),
+    "bamm": Kind("kinema.interop.bamm", ("t2m_transformer", "trans")),
     "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",)),
+    "t2m-gpt": Kind("kinema.interop.gpt", ("trans",)),
+    "attt2m": Kind("kinema.interop.gpt", ("trans",)),
     "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",)),
     "t2m-evaluator": Kind(
         "kinema.interop.t2m_evaluator", ("movement_encoder", "text_encoder", "motion_encoder"), several=True
