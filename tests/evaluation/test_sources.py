@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from kinema.evaluation.sources import (
+    Edited,
     Generated,
     NearestTrainingCaption,
+    NoiseCodes,
     NoiseLatents,
     RealMotion,
     Reconstruction,
@@ -34,6 +38,12 @@ class Halves(torch.nn.Module):
 
 class Echo(torch.nn.Module):
     """Generate each row from its text feature and seed."""
+
+    max_latents = 49
+
+    def __init__(self, predicts_length=False):
+        super().__init__()
+        self.predicts_length = predicts_length
 
     def sample(self, text, frames, *, seeds, known=None, sampling=None):
         frames = torch.full_like(seeds, 12) if frames is None else frames
@@ -137,8 +147,62 @@ def test_lengths_are_real_estimated_or_the_generators_own(make):
     batch = make.batch()
     options = {"sampling": 2.0, "lengths": "predicted"}
     estimated = Generated(Echo(), Halves(), letters, length_estimator=Estimator(), **options)(batch, seeds(8))
-    own = Generated(Echo(), Halves(), letters, **options)(batch, seeds(8))
+    own = Generated(Echo(predicts_length=True), Halves(), letters, **options)(batch, seeds(8))
     assert set(estimated.lengths.tolist()) == {20}
     assert set(own.lengths.tolist()) == {12}
+    with pytest.raises(ValueError, match="needs a generator that ends its sequences itself or a length estimator"):
+        Generated(Echo(), Halves(), letters, **options)(batch, seeds(8))
     with pytest.raises(ValueError, match="allowed: real, predicted"):
         Generated(Echo(), Halves(), letters, lengths="guess")
+
+
+class Codes(torch.nn.Module):
+    """Decode each code to four frames that hold the first layer's number."""
+
+    downsample = 4
+
+    def decode(self, latents):
+        features = latents.codes[..., :1].repeat_interleave(4, dim=1).expand(-1, -1, 67).float()
+        return MotionBatch(features, latents.frames)
+
+
+def test_noise_codes_follow_the_training_shares(make):
+    batch = make.batch()
+    shares = torch.tensor([[0.5, 0.0, 0.5], [0.0, 1.0, 0.0]])
+    noise = NoiseCodes(Codes(), shares)
+    features = noise(batch, seeds(8)).features
+    real = torch.arange(features.shape[1]) < (batch.lengths // 4 * 4)[:, None]
+    drawn = features[..., 0][real]
+    assert set(drawn.tolist()) == {0.0, 2.0}
+    assert 0.35 < (drawn == 2).float().mean() < 0.65
+    assert torch.equal(noise(batch, seeds(8)).features, features)
+
+
+@pytest.mark.parametrize("task", ["prefix", "suffix", "inbetween", "outpaint"])
+def test_an_edit_sees_nothing_of_the_frames_it_replaces(make, task):
+    """Change all frames outside of the kept ones: the answer is bit-equal."""
+    seen = []
+
+    class Keeps(Echo):
+        def sample(self, text, frames, *, seeds, known=None, sampling=None):
+            seen.append(known)
+            return known.latents
+
+    batch = make.batch()
+    edited = Edited(Keeps(), Halves(), letters, task=task, paste=True)
+    first = edited(batch, seeds(8))
+    kept = seen[0].mask.repeat_interleave(4, dim=1)
+    counts = batch.lengths // 4
+    assert (seen[0].mask.sum(1) <= counts - counts // 4).all()
+    assert (seen[0].mask.sum(1) > 0).all()
+    size = kept.shape[1]
+    assert torch.equal(first.features[kept], batch.features[:, :size, :67][kept])
+    changed = torch.where(kept[..., None], batch.features[:, :size], torch.randn_like(batch.features[:, :size]))
+    second = edited(replace(batch, features=changed), seeds(8))
+    assert torch.equal(first.features, second.features)
+    assert torch.equal(seen[0].latents.values, seen[1].latents.values)
+
+
+def test_an_unknown_editing_task_is_refused_at_once():
+    with pytest.raises(ValueError, match="middle"):
+        Edited(Echo(), Halves(), letters, task="middle")

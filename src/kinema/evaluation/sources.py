@@ -12,7 +12,10 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from kinema.types import Caption, Latents, MotionBatch, TextFeatures
+from kinema import editing
+from kinema.decoding.draws import SeededDraws
+from kinema.kept import encode_kept
+from kinema.types import Caption, Latents, MotionBatch, TextFeatures, frame_mask
 
 TextEncoder = Callable[[list[str]], TextFeatures]
 
@@ -100,6 +103,30 @@ class NoiseLatents:
         return answer(batch, decoded.features, decoded.lengths)
 
 
+class NoiseCodes:
+    """Answer with decoded codes drawn one by one as often as training clips use them: plausible marginals, no more.
+
+    `shares` holds each layer's share of every code.
+    """
+
+    label, multimodal, reconstructs = "noise codes", True, False
+
+    def __init__(self, tokenizer: nn.Module, shares: Float[Tensor, "q k"]) -> None:
+        self.tokenizer, self.shares = tokenizer.eval(), shares.cpu()
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Decode one sequence of independent codes per row, of the real length."""
+        lengths = batch.lengths // self.tokenizer.downsample
+        size = int(lengths.max())
+        layers = []
+        for layer, share in enumerate(self.shares):
+            logits = share.log().expand(len(lengths), size, -1)
+            layers.append(SeededDraws(seeds).pick(layer, logits))
+        codes = torch.stack(layers, dim=-1).to(lengths.device) * frame_mask(lengths, size)[..., None]
+        decoded = self.tokenizer.decode(Latents(lengths, lengths * self.tokenizer.downsample, codes=codes))
+        return answer(batch, decoded.features, decoded.lengths)
+
+
 @runtime_checkable
 class TrainingClips(Protocol):
     """Give training clips and their captions by entry (a `PackedStore` does)."""
@@ -145,8 +172,8 @@ class NearestTrainingCaption:
 class Generated:
     """Answer with a method's motions: text -> latents -> motion.
 
-    `lengths`: "real" gives the generator the test clip's length, as the published protocol does; "predicted" takes it
-    from `length_estimator`, or leaves it to a generator that ends its sequences itself.
+    `lengths`: "real" gives the generator the test clip's length (MARDM, MMM, BAD, MoMask); "predicted" leaves it to a
+    generator that ends its sequences itself (T2M-GPT, AttT2M, BAMM, MotionGPT), else to `length_estimator`.
     """
 
     multimodal, reconstructs = True, False
@@ -178,7 +205,56 @@ class Generated:
         return answer(batch, decoded.features, decoded.lengths)
 
     def _predicted(self, text: TextFeatures, seeds: Int[Tensor, " b"]) -> Int[Tensor, " b"] | None:
-        return self.length_estimator.predict(text, seeds) if self.length_estimator is not None else None
+        if getattr(self.generator, "predicts_length", False):
+            return None
+        if self.length_estimator is None:
+            raise ValueError("lengths=predicted needs a generator that ends its sequences itself or a length estimator")
+        most = self.generator.max_latents * self.tokenizer.downsample
+        return self.length_estimator.predict(text, seeds).clamp(self.tokenizer.downsample, most)
+
+
+class Edited:
+    """Answer with the real motion of which one of BAD's four tasks is regenerated to the caption (BAD §5).
+
+    What is kept is encoded stretch by stretch. Without `paste`, as published, kept frames are the tokenizer's
+    reconstruction; with it they are the real ones.
+    """
+
+    multimodal, reconstructs = False, False
+
+    def __init__(
+        self,
+        generator: nn.Module,
+        tokenizer: nn.Module,
+        text_encoder: TextEncoder,
+        *,
+        task: str,
+        paste: bool = False,
+        sampling: Any = None,
+        label: str = "edited",
+    ) -> None:
+        editing.task_slots(task, 1)  # an unknown task is refused before anything is computed
+        self.generator, self.tokenizer, self.text_encoder = generator.eval(), tokenizer.eval(), text_encoder
+        self.task, self.paste, self.sampling, self.label = task, paste, sampling, label
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Edit every motion to its own caption."""
+        unit = self.tokenizer.downsample
+        counts = (batch.lengths // unit).tolist()
+        slots = [editing.task_slots(self.task, count) for count in counts]
+        keep = torch.zeros(len(counts), max(counts), dtype=torch.bool)
+        for row, kept in zip(keep, slots, strict=True):
+            row[: len(kept)] = torch.as_tensor(kept)
+        known = encode_kept(self.tokenizer, batch, keep.to(batch.lengths.device))
+        text = self.text_encoder(batch.texts).to(batch.features.device)
+        text.clip_ids = list(batch.clip_ids)
+        latents = self.generator.sample(text, None, seeds=seeds, known=known, sampling=self.sampling)
+        decoded = self.tokenizer.decode(latents)
+        features = decoded.features
+        if self.paste:
+            real = known.mask.repeat_interleave(unit, dim=1)[:, : features.shape[1], None]
+            features = torch.where(real, batch.features[:, : features.shape[1], : features.shape[2]], features)
+        return answer(batch, features, decoded.lengths)
 
 
 def answer(prompt: MotionBatch, features: Float[Tensor, "b t w"], lengths: Int[Tensor, " b"]) -> MotionBatch:

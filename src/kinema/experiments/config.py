@@ -11,6 +11,8 @@ from omegaconf.errors import OmegaConfBaseException
 CONF = Path(__file__).resolve().parents[3] / "conf"
 SCALES = ("paper", "tiny", "smoke")
 STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
+TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
+EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation")
 
 
@@ -55,10 +57,13 @@ def validate(cfg: DictConfig) -> None:
     if "stage" in cfg:
         checks.append(("stage", cfg.stage, STAGES))
     if "source" in cfg:
-        checks.append(("source", cfg.source, SOURCES))
+        checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
+        checks.append(("edit.task", cfg.edit.task, EDITS))
     for name, value, allowed in checks:
         if value not in allowed:
             raise ValueError(f"{name}={value!r} is unknown; allowed: {', '.join(allowed)}")
+    if "source" in cfg and cfg.task == "editing" and cfg.source != "generation":
+        raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
     if not isinstance(cfg.seed, int) or cfg.seed < 0:
         raise ValueError(f"seed={cfg.seed!r}; it must be an integer of at least 0")
 

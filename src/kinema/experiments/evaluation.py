@@ -17,7 +17,8 @@ from kinema.experiments.runs import RunFolder, append_line, console, read_lines,
 from kinema.experiments.stages import STAGES
 
 NEEDS = {"real": (), "shuffled": (), "nearest": (), "noise": ("tokenizer",), "reconstruction": ("tokenizer",)}
-"""The runs a source reads beside the judges'; generation reads the generator's, which knows its tokenizer."""
+"""The runs a source reads beside the judges'; generation reads the generator's, which knows its tokenizer, the residual
+transformer's where the method has one, and the length estimator's where lengths are predicted by one."""
 
 JUDGES = ("matching", "contrastive")
 
@@ -45,7 +46,7 @@ def describe(cfg: DictConfig) -> Row:
     runs = {name: stage_folder(cfg, STAGES[name], corpus).path for name in JUDGES}
     given = plain(cfg.get("evaluators") or {})
     runs |= {stage: Path(given[key]) for stage, key in (("matching", "t2m"), ("contrastive", "clip")) if given.get(key)}
-    for name in NEEDS.get(cfg.source, ("generator",)):
+    for name in NEEDS[cfg.source] if cfg.source in NEEDS else _generation_needs(cfg):
         runs[name] = _given_run(cfg, name) or stage_folder(cfg, STAGES[name], corpus).path
     protocol = plain(cfg.scale.protocol)
     replications = protocol.pop("replications")
@@ -57,22 +58,40 @@ def describe(cfg: DictConfig) -> Row:
         "sampling": plain(cfg.generator.sampling) if cfg.source == "generation" else None,
         "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
     }
+    if cfg.source == "generation" and cfg.task == "editing":
+        identity["edit"] = plain(cfg.edit)
+    elif cfg.source == "generation" and cfg.lengths != "real":
+        identity["lengths"] = cfg.lengths
     if any(given.values()):
         # Imported judges have no fingerprint that would hold what they read captions with.
         identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}
     own_run = cfg.source == "generation" or (cfg.source in NEEDS and NEEDS[cfg.source])
     who = f"-{Path(cfg.run).name if cfg.get('run') else cfg.method.name}" if own_run else ""
-    name = f"{cfg.source}{who}-{cfg.representation.kind}-s{cfg.seed}-{fingerprint(identity)}"
+    what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
+    name = f"{what}{who}-{cfg.representation.kind}-s{cfg.seed}-{fingerprint(identity)}"
     root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
     return Row(RunFolder(root / "evaluation" / name), runs, replications)
 
 
+def _generation_needs(cfg: DictConfig) -> list[str]:
+    needs = ["generator"]
+    linked = upstream(Path(cfg.run)) if cfg.get("run") else None
+    has_residual = STAGES["residual"].present(cfg) if linked is None else "residual" in linked
+    predicted = cfg.task == "generation" and cfg.lengths == "predicted"
+    estimated = predicted and not cfg.generator.get("predicts_length")
+    if has_residual:
+        needs.append("residual")
+    if estimated and (linked is None or "length" in linked):
+        needs.append("length")
+    return needs
+
+
 def _given_run(cfg: DictConfig, stage: str) -> Path | None:
-    """Give the run that `run=` names, or the tokenizer of the generator that it names."""
+    """Give the run that `run=` names, or the part of the generator that it names; `tokenizer_run=` likewise."""
     if not cfg.get("run"):
-        return None
+        return Path(cfg.tokenizer_run) if stage == "tokenizer" and cfg.tokenizer_run else None
     links = upstream(Path(cfg.run))
-    return links["tokenizer"] if stage == "tokenizer" and "tokenizer" in links else Path(cfg.run)
+    return links[stage] if stage in links else Path(cfg.run)
 
 
 def run_evaluation(cfg: DictConfig) -> Row:

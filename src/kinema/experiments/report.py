@@ -22,7 +22,7 @@ def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[M
     `table` has name, title, columns, rows and, if known, corpus, scale, comparable (whether the published numbers are
     of the same corpus and scale), provenance, footnotes and breakdowns. `motions` are shown by row key.
     """
-    main = grid(table, mark_best=True)
+    main = grid(table, mark_best=table.get("mark_best", True))
     breakdowns = [(b["title"], grid(b)) for b in table.get("breakdowns", ()) if b["rows"]]
     known = [line.key for line in main.lines]
     stray = sorted(set(motions or {}) - set(known))

@@ -36,6 +36,7 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
     """Run the missing stages and replications of a table and render it."""
     table = load_table(name)
     shared = [o for o in overrides if not o.startswith("launcher=")]
+    overrides = [*overrides, *table.get("overrides", [])]
     rows = plan(table, shared)
     work = [] if render_only else missing_work(rows)
     if work:

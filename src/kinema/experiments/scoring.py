@@ -64,6 +64,8 @@ class Scorer:
             "tokens": words["contrastive"],
             "text_encoder": getattr(getattr(self.source, "text_encoder", None), "identity", None),
             "sampling": sampling,
+            "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
+            "edit": plain(cfg.edit) if cfg.task == "editing" else None,
             "protocol": plain(cfg.scale.protocol),
             "seed": cfg.seed,
             "device": str(self.device),
@@ -131,10 +133,16 @@ class Scorer:
                 pipeline.generator.process.resolve(sampling.solver, sampling.solver_steps)
             # The run's own text encoder, which need not be the configuration's (an imported run).
             text = encode_captions(cached(cfg, pipeline.text_encoder), self.store, self.protocol.split)
-            return sources.Generated(pipeline.generator, pipeline.tokenizer, text, sampling=sampling)
+            parts = (pipeline.generator, pipeline.tokenizer, text)
+            if cfg.task == "editing":
+                return sources.Edited(*parts, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
+            estimator = pipeline.length_estimator
+            return sources.Generated(*parts, lengths=cfg.lengths, length_estimator=estimator, sampling=sampling)
         tokenizer = read_model(runs["tokenizer"])[0].to(self.device)
         if name == "reconstruction":
             return sources.Reconstruction(tokenizer)
+        if getattr(tokenizer, "codebook_size", None):
+            return sources.NoiseCodes(tokenizer, self._code_shares(tokenizer))
         return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))
 
     def _text(self, *splits: str) -> CachedTextEncoder:
@@ -142,15 +150,26 @@ class Scorer:
         return encode_captions(text_encoder(self.cfg, self.device), self.store, *splits)
 
     @torch.no_grad()
-    def _latent_statistics(self, tokenizer: Any, batches: int = 16) -> tuple[torch.Tensor, torch.Tensor]:
-        """Give mean and std of each latent dim over a part of the training clips."""
+    def _training_latents(self, tokenizer: Any, batches: int = 16) -> torch.Tensor:
+        """Give the values or codes of a part of the training clips, one row per position."""
         drawn = self.data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
-        values = []
+        rows = []
         for _, batch in zip(range(batches), drawn, strict=False):
             latents = tokenizer.encode(batch.to(self.device))
-            values.append(latents.values[latents.mask])
-        stacked = torch.cat(values)
-        return stacked.mean(0), stacked.std(0)
+            content = latents.values if latents.codes is None else latents.codes
+            rows.append(content[latents.mask])
+        return torch.cat(rows)
+
+    def _latent_statistics(self, tokenizer: Any) -> tuple[torch.Tensor, torch.Tensor]:
+        """Give mean and std of each latent dim."""
+        rows = self._training_latents(tokenizer)
+        return rows.mean(0), rows.std(0)
+
+    def _code_shares(self, tokenizer: Any) -> torch.Tensor:
+        """Give how often each layer's codes are used."""
+        rows = self._training_latents(tokenizer)
+        counts = [torch.bincount(layer, minlength=tokenizer.codebook_size) for layer in rows.T]
+        return torch.stack(counts) / len(rows)
 
     def _fields(self, batch: MotionBatch) -> dict[str, list[str]]:
         """Give the manifest's fields of each clip; of one with many values, whether training saw the value."""

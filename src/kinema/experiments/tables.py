@@ -41,6 +41,7 @@ def load_table(name: str) -> dict[str, Any]:
 def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
     """Compose every row's configuration and find its folder."""
     rows = []
+    overrides = [*overrides, *table.get("overrides", [])]
     for spec in table["rows"]:
         if "source" not in spec:
             rows.append(TableRow(spec, None, None))
@@ -117,10 +118,19 @@ def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, An
         "key": spec["key"],
         "label": spec["label"],
         "kind": spec["kind"],
-        "note": spec.get("note", ""),
+        "note": "; ".join(note for note in (spec.get("note", ""), _lengths_note(row)) if note),
         "published": published.get(spec["key"]),
         "results": results,
     }
+
+
+def _lengths_note(row: TableRow) -> str:
+    """Say where the lengths of generated motion come from, unless they are the test clips'."""
+    if row.cfg is None or row.cfg.source != "generation" or row.cfg.task != "generation":
+        return ""
+    if row.cfg.lengths == "real":
+        return "lengths of the test clips"
+    return "lengths predicted by " + ("the method" if row.cfg.generator.get("predicts_length") else "an estimator")
 
 
 def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:

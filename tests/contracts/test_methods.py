@@ -1,0 +1,133 @@
+"""What every method must do: learn, generate, edit, be saved, come back and give the same motion again."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from kinema.experiments.config import CONF
+from kinema.experiments.stages import STAGES
+from kinema.generators import Generator
+from kinema.pipeline import TextToMotion
+from kinema.types import Latents
+
+METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
+TEXTS = ["a person walks forward", "someone waves with the left hand", "a man jumps twice"]
+
+
+@pytest.fixture(scope="session")
+def make(workshop):
+    """Give a method's parts: tokenizer, generator, residual transformer or None."""
+
+    @cache
+    def made(method: str):
+        if method == "motiongpt":
+            pytest.importorskip("transformers", reason="needs the extra kinema[text]")
+        choice = f"method={method}"
+        tokenizer = workshop.tokenizer(choice)
+        stages = ["generator"] + (["residual"] if STAGES["residual"].present(workshop.cfg(choice)) else [])
+        models = [workshop.make(stage, choice) for stage in stages]
+        latents = tokenizer.encode(workshop.clips())
+        for model in models:
+            if hasattr(model, "set_codebook"):
+                model.set_codebook(tokenizer.codebook)
+            if hasattr(model, "set_latent_range"):
+                rows = latents.values[latents.mask]
+                model.set_latent_range(rows.min(0).values, rows.max(0).values)
+        return tokenizer, models[0], models[1] if len(models) > 1 else None
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def pipeline(make, workshop):
+    """Give a method as a user holds it (untrained)."""
+
+    def made(method: str) -> TextToMotion:
+        tokenizer, generator, residual = make(method)
+        if residual is not None:
+            from kinema.pipeline import _with_residual
+
+            generator = _with_residual(generator, residual)
+        return TextToMotion(tokenizer, generator.eval(), workshop.text, None, {"text": {"encoder": "hashed"}})
+
+    return made
+
+
+@pytest.mark.parametrize("stage", ["generator", "residual"])
+@pytest.mark.parametrize("method", METHODS)
+def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(make, workshop, method, stage):
+    tokenizer, generator, residual = make(method)
+    model = generator if stage == "generator" else residual
+    if model is None:
+        pytest.skip(f"{method} has no residual transformer")
+    assert stage == "residual" or isinstance(model, Generator)
+    batch = workshop.clips(8)
+    latents, text = tokenizer.encode(batch), workshop.text(batch.texts)
+    latents = Latents(latents.lengths, latents.frames, latents.values, latents.codes)
+    before = {n: p.detach().clone() for n, p in model.named_parameters() if p.requires_grad}
+    optimizer = torch.optim.SGD([p for p in model.parameters() if p.requires_grad], lr=1e-3)
+    model.train()
+    losses = model.loss(latents, text, generator=torch.Generator().manual_seed(1))
+    assert next(iter(losses)) == "loss"
+    assert all(value.isfinite() for value in losses.values())
+    losses["loss"].backward()
+    lacking = [n for n, p in model.named_parameters() if p.requires_grad and p.grad is None]
+    assert not lacking
+    optimizer.step()
+    model.eval()
+    assert any(not torch.equal(before[n], p) for n, p in model.named_parameters() if n in before)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_it_generates_edits_is_saved_and_comes_back(pipeline, method, tmp_path):
+    model = pipeline(method)
+    frames = [40, 84, 62]
+    motions = model.generate(TEXTS, frames, seed=3)
+    assert [len(m.features) for m in motions] == frames
+    assert all(np.isfinite(m.joints).all() for m in motions)
+    edited = model.edit(motions, TEXTS[0], "inbetween", seed=4)
+    for motion, result in zip(motions, edited, strict=True):
+        quarter = len(motion.features) // 4
+        assert np.array_equal(result.features[:quarter], motion.features[:quarter])
+        assert np.array_equal(result.features[-quarter:], motion.features[-quarter:])
+    model.save(tmp_path / "saved")
+    again = TextToMotion.from_run(tmp_path / "saved", device="cpu")
+    for first, second in zip(motions, again.generate(TEXTS, frames, seed=3), strict=True):
+        np.testing.assert_array_equal(first.features, second.features)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_motion_depends_on_its_own_seed_and_text_alone(pipeline, method):
+    model = pipeline(method)
+    motions = model.generate(TEXTS, [40, 84, 62], seed=3)
+    reversed_ = [
+        model.generate(text, len(motion.features), seed=motion.seed)[0]
+        for text, motion in reversed(list(zip(TEXTS, motions, strict=True)))
+    ]
+    for motion, alone in zip(motions, reversed(reversed_), strict=True):
+        np.testing.assert_allclose(alone.features, motion.features, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_without_a_length_it_ends_itself_or_says_what_is_missing(pipeline, method):
+    model = pipeline(method)
+    if not getattr(model.generator, "predicts_length", False):
+        with pytest.raises(ValueError, match="no length: give frames="):
+            model.generate(TEXTS[:2], seed=1)
+        return
+    for motion in model.generate(TEXTS[:2], seed=1):
+        assert 4 <= len(motion.features) <= model.max_frames
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_parts_are_chained_to_a_long_motion(pipeline, method):
+    model = pipeline(method)
+    motion = model.chain(TEXTS, [100, 120, 40], seed=2)
+    assert len(motion.features) == 100 + 120 + 40 + 2 * 2 * model.tokenizer.downsample
+    assert np.isfinite(motion.joints).all()
+    with pytest.raises(ValueError, match="a transition of 60 latents does not fit"):
+        model.chain(TEXTS, 40, seed=2, transition=60)
