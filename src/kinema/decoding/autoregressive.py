@@ -1,4 +1,4 @@
-"""Decode tokens from left to right over a `predict` callable, and narrow the distribution they are drawn from."""
+"""Decode tokens from left to right over a `predict` callable."""
 
 from __future__ import annotations
 
@@ -37,23 +37,3 @@ def decode_left_to_right(
             lengths, free = lengths.masked_fill(ended, step), free & ~ended
         ids[:, step] = torch.where(free, token, ids[:, step])
     return ids, lengths
-
-
-def narrow(
-    logits: Float[Tensor, "*b k"], *, temperature: float = 1.0, top_k: int | None = None, top_p: float | None = None
-) -> Float[Tensor, "*b k"]:
-    """Divide by the temperature, then keep the `top_k` likeliest classes and of them the fewest that hold `top_p`.
-
-    Classes that are left out become -inf; the likeliest one always stays.
-    """
-    logits = logits / temperature
-    if top_k is not None and top_k < logits.shape[-1]:
-        least = logits.topk(top_k, dim=-1).values[..., -1:]
-        logits = logits.masked_fill(logits < least, -torch.inf)
-    if top_p is not None and top_p < 1:
-        ordered, order = logits.sort(dim=-1, descending=True, stable=True)
-        probability = ordered.softmax(-1)
-        out = probability.cumsum(-1) - probability >= top_p
-        out[..., 0] = False
-        logits = logits.masked_fill(torch.zeros_like(out).scatter(-1, order, out), -torch.inf)
-    return logits

@@ -13,7 +13,7 @@ from kinema.decoding.autoregressive import decode_left_to_right
 from kinema.decoding.draws import TokenDraws
 from kinema.generators.checks import check_codes, token_request
 from kinema.generators.gpt_sampling import GptSampling
-from kinema.generators.gpt_training import GptDraws, per_sample, targets
+from kinema.generators.gpt_training import GptDraws, corrupt, per_sample, targets
 from kinema.generators.reduction import mean_over_ranks
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
@@ -70,7 +70,7 @@ class CausalTransformer(nn.Module):
         self.codebook_size = codebook_size
         self.end, self.pad = codebook_size, codebook_size + 1
         self.pkeep = pkeep
-        self.all_words = words == "all"
+        self.words = words
         self.max_latents = max_latents
         self.downsample = downsample
         self.sampling = sampling or GptSampling()
@@ -87,14 +87,11 @@ class CausalTransformer(nn.Module):
 
     def forward(self, ids: Int[Tensor, "b n"], text: TextFeatures) -> Float[Tensor, "b m k"]:
         """Give m = n + 1 positions' logits of codes and END: position 0 is the text and predicts token 0."""
-        pooled, words = self._condition(text)
-        size = ids.shape[1]
-        x = self.text_projection(pooled)[:, None]
-        if size:
-            mask = None if words is None else _lower(size, words[1].shape[1], ids.device) & words[1][:, None]
-            x = torch.cat((x, self._embed(ids, None if words is None else words[0], mask)), dim=1)
-        x = x + sinusoidal_positions(size + 1, x.shape[2], x.device).to(x.dtype)
-        return self._logits(x, mask=_lower(size + 1, size + 1, x.device)[None])
+        x = self.text_projection(text.pooled)[:, None]
+        if ids.shape[1]:
+            x = torch.cat((x, self._embed(ids, self._words(text))), dim=1)
+        x = x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype)
+        return self._logits(x, mask=_lower(x.shape[1], x.shape[1], x.device)[None])
 
     def loss(
         self,
@@ -115,11 +112,11 @@ class CausalTransformer(nn.Module):
         wanted = targets(codes, latents.lengths, self.end, self.pad)
         ids = wanted[:, :-1]
         if draws is None and self.training:
-            draws = self._draw(ids, generator, shard)
+            draws = self._draw(len(ids), generator, shard)
         if draws is not None:
-            ids = torch.where(draws.keep[:, : ids.shape[1]], ids, draws.codes[:, : ids.shape[1]])
+            ids = corrupt(ids, draws)
         logits = self(ids, text)
-        entropy = F.cross_entropy(logits.mT, wanted.masked_fill(wanted == self.pad, 0), reduction="none")
+        entropy = F.cross_entropy(logits.mT, wanted, ignore_index=self.pad, reduction="none")
         hits = (logits.argmax(-1) == wanted).float()
         loss, accuracy = (mean_over_ranks(per_sample(v, latents.lengths), shard[1]) for v in (entropy, hits))
         return {"loss": loss, "accuracy": accuracy}
@@ -134,7 +131,7 @@ class CausalTransformer(nn.Module):
         sampling: GptSampling | None = None,
         draws: TokenDraws | None = None,
     ) -> Latents:
-        """Generate tokens for `frames` frames, exactly so many (END is excluded); None: until END, at most max_latents.
+        """Generate the tokens of `frames` frames (END excluded), or with None until END, at most max_latents.
 
         A motion that would end before it begins is a single token of code 1, as published. The codes of `known` stay
         in their places and set the lengths where `frames` is None; each token sees what lies before it only, so that
@@ -172,31 +169,37 @@ class CausalTransformer(nn.Module):
         codes = codes[:, : int(lengths.max()), None]
         return Latents(lengths=lengths, frames=lengths * self.downsample, codes=codes)
 
-    def _condition(self, text: TextFeatures) -> tuple[Float[Tensor, "b t"], Words | None]:
-        """Give the sentence and, for models that read them, the projected words with their mask."""
+    def _words(self, text: TextFeatures) -> Words | None:
+        """Project the words, for models that read them, and say which may be seen."""
         if self.word_projection is None:
-            return text.pooled, None
+            return None
         if text.tokens is None:
             raise ValueError(
-                "this model attends to words (cross_layers > 0), the text features have none; take a text encoder "
-                "that gives token features and set reads_tokens: true in the generator's config"
+                "this generator attends to words, but the text features hold the pooled vector alone; encode the text "
+                "with token features (reads_tokens: true), or build the generator with cross_layers=0"
             )
-        mask = text.token_mask
-        if mask is None or self.all_words:
-            mask = torch.ones(text.tokens.shape[:2], dtype=torch.bool, device=text.tokens.device)
-        return text.pooled, (self.word_projection(text.tokens), mask)
+        real = text.token_mask
+        if real is None or self.words == "all":
+            real = torch.ones(text.tokens.shape[:2], dtype=torch.bool, device=text.tokens.device)
+        return self.word_projection(text.tokens), real
 
     def _embed(
         self,
         ids: Int[Tensor, "b n"],
-        words: Float[Tensor, "b l w"] | None,
-        mask: Bool[Tensor, "..."] | None,
+        words: Words | None,
+        start: int = 0,
         caches: Sequence[KeyValueCache] | None = None,
     ) -> Float[Tensor, "b n w"]:
-        """Embed tokens and let each attend to the words that it may see."""
+        """Embed tokens from `start` on; token i attends to words 0..i, of which caches hold those before `start`."""
         x = self.token_embedding(ids)
+        if words is None:
+            return x
+        features, real = words
+        end = start + ids.shape[1]
+        lower = _lower(end, min(end, real.shape[1]), x.device)[start:]
+        mask = lower & real[:, None, :end]
         for i, block in enumerate(self.cross_blocks):
-            x = block(x, mask, words, cache=caches[i] if caches else None)
+            x = block(x, mask, features[:, start:end], cache=caches[i] if caches else None)
         return x
 
     def _logits(
@@ -210,38 +213,36 @@ class CausalTransformer(nn.Module):
     def _predictor(
         self, text: TextFeatures, size: int, cache: bool
     ) -> Callable[[int, Int[Tensor, "b n"]], Float[Tensor, "b k"]]:
-        """Give the logits of a slot from the tokens before it: all of them anew, or the last one on top of a cache.
+        """Give the logits of a slot from the tokens before it: all of them anew, or the last one on top of caches.
 
-        Token i sees the words 0..i, so that the cross-attention's cache grows by one word per token.
+        Token i sees the words 0..i, so that the cross-attention's caches grow by a word a token.
         """
         if not cache:
             return lambda step, ids: self(ids[:, :step], text)[:, -1]
-        pooled, words = self._condition(text)
-        positions = sinusoidal_positions(size, self.norm.normalized_shape[0], pooled.device)
+        words = self._words(text)
+        positions = sinusoidal_positions(size, self.head.in_features, text.pooled.device)
         own = [KeyValueCache(size) for _ in self.blocks]
-        cross = [KeyValueCache(words[1].shape[1]) for _ in self.cross_blocks] if words else []
+        cross = [KeyValueCache(words[1].shape[1]) for _ in self.cross_blocks] if words else None
 
         def predict(step: int, ids: Int[Tensor, "b n"]) -> Float[Tensor, "b k"]:
-            if step == 0:
-                x = self.text_projection(pooled)[:, None]
-            elif words is None:
-                x = self._embed(ids[:, step - 1 : step], None, None)
+            if step:
+                x = self._embed(ids[:, step - 1 : step], words, step - 1, cross)
             else:
-                x = self._embed(ids[:, step - 1 : step], words[0][:, step - 1 : step], words[1][:, :step], cross)
+                x = self.text_projection(text.pooled)[:, None]
             return self._logits(x + positions[step].to(x.dtype), caches=own)[:, 0]
 
         return predict
 
-    def _draw(self, ids: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]) -> GptDraws:
-        (rank, world), batch = shard, len(ids)
+    def _draw(self, batch: int, generator: torch.Generator | None, shard: tuple[int, int]) -> GptDraws:
+        rank, world = shard
         draws = GptDraws.draw(
             (batch * world, self.max_latents),
             codebook_size=self.codebook_size,
             pkeep=self.pkeep,
             generator=generator,
-            device=ids.device,
+            device=self.head.weight.device,
         )
-        return draws.crop(slice(rank * batch, (rank + 1) * batch), ids.shape[1])
+        return draws.crop(slice(rank * batch, (rank + 1) * batch), self.max_latents)
 
 
 def _lower(rows: int, columns: int, device: torch.device) -> Bool[Tensor, "r c"]:

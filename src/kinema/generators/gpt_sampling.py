@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jaxtyping import Int
+import torch
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from kinema.decoding.autoregressive import narrow
 from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
 
 
@@ -15,9 +15,9 @@ from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
 class GptSampling:
     """Choose how tokens are sampled.
 
-    `temperature` 0 takes the likeliest token (greedy decoding, which the published models are selected with). `top_k`
-    and `top_p` leave unlikely tokens out (not published). `cache` keeps the keys and values of earlier positions:
-    the same tokens, less work.
+    `temperature` 0 takes the likeliest token (greedy decoding, by which the published T2M-GPT is selected). `top_k`
+    keeps the likeliest tokens, `top_p` the fewest of them that hold this probability (neither is published). `cache`
+    keeps the keys and values of earlier positions: the same tokens, less work.
     """
 
     temperature: float = 1.0
@@ -42,8 +42,17 @@ class GptSampling:
         """Make what draws the tokens of these seeds."""
         return Greedy(seeds) if self.greedy else SeededDraws(seeds)
 
-    def narrow(self, logits: Tensor) -> Tensor:
-        """Give the logits of the distribution to draw from."""
+    def narrow(self, logits: Float[Tensor, "*b k"]) -> Float[Tensor, "*b k"]:
+        """Give the logits of the distribution to draw from; classes that are left out are -inf, the likeliest stays."""
         if self.greedy:
             return logits
-        return narrow(logits, temperature=self.temperature, top_k=self.top_k, top_p=self.top_p)
+        logits = logits / self.temperature
+        if self.top_k is None and self.top_p is None:
+            return logits
+        ordered, order = logits.sort(dim=-1, descending=True, stable=True)
+        out = torch.arange(logits.shape[-1], device=logits.device) >= (self.top_k or logits.shape[-1])
+        if self.top_p is not None:
+            share = ordered.masked_fill(out, -torch.inf).softmax(-1)
+            out = out | (share.cumsum(-1) - share >= self.top_p)
+        left_out = torch.zeros_like(logits, dtype=torch.bool).scatter(-1, order, out.expand_as(order))
+        return logits.masked_fill(left_out, -torch.inf)

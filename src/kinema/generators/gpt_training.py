@@ -48,6 +48,12 @@ def targets(codes: Int[Tensor, "b n"], lengths: Int[Tensor, " b"], end: int, pad
     return filled.scatter(1, lengths[:, None], end)
 
 
+def corrupt(ids: Int[Tensor, "b n"], draws: GptDraws) -> Int[Tensor, "b n"]:
+    """Replace the ids that are not kept by random codes, END and PAD too (T2M-GPT, Training)."""
+    drawn = draws.crop(slice(None), ids.shape[1])
+    return torch.where(drawn.keep, ids, drawn.codes)
+
+
 def per_sample(values: Float[Tensor, "b m"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
     """Average each sample's values over its codes and its END."""
     counted = frame_mask(lengths + 1, values.shape[1])
