@@ -24,6 +24,44 @@ TASKS = {
 half, both ends, the middle half. The rest is regenerated."""
 
 
+SLOTS = {
+    "prefix": lambda n: ((0, n // 2), (0, 0)),
+    "suffix": lambda n: ((n - n // 2, n), (0, 0)),
+    "inbetween": lambda n: ((0, n // 4), (n - n // 4, n)),
+    "outpaint": lambda n: ((n // 4, n // 4 + n // 2), (0, 0)),
+}
+"""The token slots that the published evaluation keeps of a clip of n tokens (BAD §5)."""
+
+SLICES = {
+    "prefix": lambda n: [(0, 2 * n)],
+    "suffix": lambda n: [(2 * n, 4 * n)],
+    "inbetween": lambda n: [(0, n), (3 * n, 4 * n)],
+    "outpaint": lambda n: [(n, 3 * n)],
+}
+"""The frames of a clip of 4n that it encodes for them, each slice by itself."""
+
+
+def task_slots(task: str, tokens: Int[Tensor, " b"], size: int | None = None) -> Bool[Tensor, "b n"]:
+    """Mark the token slots that a published editing task keeps of clips of `tokens` tokens (four frames each).
+
+    The mask is `size` slots wide (default: the longest clip). The whole tokens that TASKS leaves are the same, except
+    in outpaint: where a quarter of the clip is no whole number of tokens, they begin a token earlier here.
+    """
+    _check_task(task)
+    slot = torch.arange(int(tokens.max()) if size is None else size, device=tokens.device)
+    (first, end), (second, last) = SLOTS[task](tokens[:, None])
+    return ((slot >= first) & (slot < end)) | ((slot >= second) & (slot < last))
+
+
+def task_slices(task: str, tokens: int) -> Ranges:
+    """Give the frames, [start, end) of a clip of 4 * `tokens`, that a published editing task encodes, each by itself.
+
+    Of each slice's codes the first fill the kept slots; a rest of fewer than four frames has none.
+    """
+    _check_task(task)
+    return SLICES[task](tokens)
+
+
 def resolve_ranges(frames: str | Sequence, lengths: Sequence[int]) -> list[Ranges]:
     """Give the ranges to regenerate of each motion.
 
@@ -114,3 +152,8 @@ def _resolve(frames: str | Ranges, length: int) -> Ranges:
                 f"range ({start}, {end}) is outside the clip; it has frames 0 to {length}, and start < end"
             )
     return [(int(start), int(end)) for start, end in frames]
+
+
+def _check_task(task: str) -> None:
+    if task not in SLOTS:
+        raise ValueError(f"unknown editing task {task!r}; allowed: {', '.join(SLOTS)}")

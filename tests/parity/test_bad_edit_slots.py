@@ -1,0 +1,21 @@
+"""Compare the editing tasks' kept slots and encoded slices with the published evaluation, for all lengths."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from kinema.editing import TASKS, task_slices, task_slots
+
+pytestmark = pytest.mark.shared
+PUBLISHED = {"inbetween": "inbetween", "outpaint": "outpainting", "prefix": "prefix", "suffix": "suffix"}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_kept_slots_and_encoded_slices(shared, task):
+    golden = load_file(shared / "golden/vq/bad_edit_slots.safetensors")
+    tokens, name = golden["in.frames"] // 4, PUBLISHED[task]
+    assert torch.equal(task_slots(task, tokens, 50), golden[f"{name}.out.kept_slots"])
+    slices = [[*task_slices(task, n), (0, 0)][:2] for n in tokens.tolist()]
+    assert torch.equal(torch.tensor(slices), golden[f"{name}.out.encoded_frame_slices"])
