@@ -147,7 +147,7 @@ class EMACodebook(nn.Module):
         `draws` replaces all draws (tests).
         """
         with torch.autocast(z.device.type, enabled=False):
-            z = z.float()
+            z = z.float().masked_fill(~real[..., None], 0)
             if not self.training:
                 return self._quantize(z, real, assign(z.detach(), self.codebook))[0]
             rows = gather_rows(z.detach()[real], shard[1])
