@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from kinema.generators.bamm import BidirectionalAutoregressive
 from kinema.interop.checkpoint import count, require, transfer
+from kinema.interop.gpt import BLOCK
 from kinema.interop.momask import (
     ENCODER,
-    FUSED,
     POSITIONS,
     encoder_names,
     encoder_spec,
@@ -22,22 +22,14 @@ from kinema.interop.momask import (
 )
 from kinema.nn.embeddings import sinusoidal_positions
 
-# Published name -> ours, of the pre-norm blocks' layers; {} is the layer's index.
-PROJECTIONS = (*FUSED, "proj")
-PRE_BLOCK = {
-    **{f"seqTransEncoder.blocks.{{}}.attn.{part}": f"blocks.{{}}.attention.{part}" for part in PROJECTIONS},
-    "seqTransEncoder.blocks.{}.mlp.0": "blocks.{}.mlp.0",
-    "seqTransEncoder.blocks.{}.mlp.2": "blocks.{}.mlp.3",
-    "seqTransEncoder.blocks.{}.ln1": "blocks.{}.norm1",
-    "seqTransEncoder.blocks.{}.ln2": "blocks.{}.norm2",
-}
-
 
 def names(layers: int, *, pre: bool) -> dict[str, str]:
     """Map all published keys with tensors of the same shape to ours, attentions split."""
     if not pre:
         return encoder_names(layers)
-    parts = ENCODER | {theirs.format(i): ours.format(i) for i in range(layers) for theirs, ours in PRE_BLOCK.items()}
+    parts = dict(ENCODER)
+    for i in range(layers):
+        parts |= {f"seqTransEncoder.blocks.{i}.{part}": f"blocks.{i}.{ours}" for part, ours in BLOCK.items()}
     return {f"{theirs}.{t}": f"encoder.{ours}.{t}" for theirs, ours in parts.items() for t in ("weight", "bias")}
 
 
@@ -70,7 +62,7 @@ def load(
         "norm": "pre" if pre else "post",
         "max_latents": max_latents,
         "downsample": downsample,
-        "sampling": {"_target_": "kinema.generators.bamm.BammSampling", **(sampling or {})},
+        "sampling": {"_target_": "kinema.generators.bamm_sampling.BammSampling", **(sampling or {})},
     }
     rules = [(re.escape(theirs), ours) for theirs, ours in names(sizes["layers"], pre=pre).items()]
     rules += [(r"token_emb\.weight", "token_embedding.weight"), (r"position_enc\.pe", None)]
