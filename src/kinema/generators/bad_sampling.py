@@ -65,7 +65,7 @@ class BadPlan:
     lengths: Int[Tensor, " b"]
     free: Bool[Tensor, "b n"]
     orders: Int[Tensor, "b n"]
-    priority: Float[Tensor, "b n"] | Int[Tensor, "b n"] | None
+    priority: Float[Tensor, "b n"] | None
     counts: Int[Tensor, "s b"]
     official: bool
 
@@ -87,7 +87,7 @@ def plan(
     ordered = free if sampling.official_inference_mask else request.real
     orders = ranks(drawn.to(device).masked_fill(~ordered, torch.inf))
     priority = {
-        "oaas": orders if direction == "ge" else -orders,
+        "oaas": orders.float() if direction == "ge" else -orders.float(),
         "rs": SeededDraws(seeds, RANDOM_SAMPLING).order(size).to(device),
         "cbs": None,
     }[sampling.sampler]

@@ -45,8 +45,8 @@ def load(
 ) -> nn.Module:
     """Load a published transformer; sizes follow from the shapes, the time token from its keys.
 
-    words="all" lets the padding of CLIP's 77 positions be seen, as published, given features of 77. `from_mmm` takes MMM's weights to train
-    on from: its one mask token becomes all of BAD's.
+    words="all" lets the padding of CLIP's 77 positions be seen, as published, given features of 77. `from_mmm` takes
+    MMM's weights to train on from: its one mask token becomes all of BAD's.
     """
     kind = "bad"
     state = dict(state)
