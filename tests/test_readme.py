@@ -18,7 +18,8 @@ from kinema.folders import write_json
 from kinema.motion.statistics import Statistics
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
+PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
 SHELL = ("export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail")
 """Commands that are not ours to check."""
 

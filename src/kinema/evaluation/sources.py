@@ -12,8 +12,8 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from kinema import editing
 from kinema.decoding.draws import SeededDraws
+from kinema.editing import task_slots
 from kinema.kept import encode_kept
 from kinema.types import Caption, Latents, MotionBatch, TextFeatures, frame_mask
 
@@ -233,19 +233,14 @@ class Edited:
         sampling: Any = None,
         label: str = "edited",
     ) -> None:
-        editing.task_slots(task, 1)  # an unknown task is refused before anything is computed
+        task_slots(task, torch.ones(1, dtype=torch.int64))  # an unknown task is refused before anything is computed
         self.generator, self.tokenizer, self.text_encoder = generator.eval(), tokenizer.eval(), text_encoder
         self.task, self.paste, self.sampling, self.label = task, paste, sampling, label
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Edit every motion to its own caption."""
         unit = self.tokenizer.downsample
-        counts = (batch.lengths // unit).tolist()
-        slots = [editing.task_slots(self.task, count) for count in counts]
-        keep = torch.zeros(len(counts), max(counts), dtype=torch.bool)
-        for row, kept in zip(keep, slots, strict=True):
-            row[: len(kept)] = torch.as_tensor(kept)
-        known = encode_kept(self.tokenizer, batch, keep.to(batch.lengths.device))
+        known = encode_kept(self.tokenizer, batch, task_slots(self.task, batch.lengths // unit))
         text = self.text_encoder(batch.texts).to(batch.features.device)
         text.clip_ids = list(batch.clip_ids)
         latents = self.generator.sample(text, None, seeds=seeds, known=known, sampling=self.sampling)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import time
 import traceback
@@ -137,7 +138,7 @@ def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstre
     resolved = plain(cfg)
     resolved.pop("hydra", None)
     OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")
-    links = {k: str(Path("..", "..", v.path.parent.name, v.path.name)) for k, v in upstream.items()}
+    links = {k: os.path.relpath(v.path, folder.path) for k, v in upstream.items()}
     write_json(folder.path / "upstream.json", links)
     folder.mark("running", versions=versions())
     try:
