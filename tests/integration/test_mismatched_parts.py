@@ -56,7 +56,7 @@ def test_a_given_tokenizer_is_held_to_the_configuration(overrides, tmp_path):
     with pytest.raises(ValueError, match="codes of a codebook of 32"):
         run_stage(cfg, "generator")
     cfg = compose_micro(overrides, "method=t2m_gpt", *given[:3], f"tokenizer_run={tmp_path}", given[-1])
-    with pytest.raises(FileNotFoundError, match="holds no weights.safetensors"):
+    with pytest.raises(FileNotFoundError, match="holds no weights"):
         run_stage(cfg, "generator")
     cfg = compose_micro(overrides, "method=t2m_gpt", "representation=essential", *given)
     run = run_stage(cfg, "generator").path
