@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -13,6 +14,7 @@ from kinema.generators.momask import MaskedTransformer, MoMaskDraws, MoMaskSampl
 from kinema.generators.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
 from kinema.generators.token_encoder import guided_logits
 from kinema.interop import momask, momask_residual
+from kinema.motion.statistics import Statistics
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 pytestmark = pytest.mark.shared
@@ -174,10 +176,20 @@ def test_residual_layers_with_recorded_noise(shared):
 
 
 def test_cascade_to_motion(shared):
+    """Compare the frames before each end; behind it the published decoder goes on."""
     golden = read(shared, "momask_generate")
     cascade = Cascade(load_base(shared), load_residual(shared))
     latents = cascade.sample(features(golden), golden["in.lens"] * 4, seeds=SEEDS, sampling=GREEDY)
     assert torch.equal(latents.codes, expected_codes(golden, "residual_greedy"))
+    tokenizer = interop.load(
+        "momask-rvq",
+        {"vq_model": state(read(shared, "rvq_momask"))},
+        statistics=Statistics(np.zeros(263), np.ones(263)),
+        mask_padding=False,
+    )
+    tokenizer.representation.std.fill_(1.0)  # the published variant divides some of them
+    motion = tokenizer.decode(latents)
+    torch.testing.assert_close(motion.features[motion.mask], golden["out.motion"][motion.mask], **CLOSE)
 
 
 def test_length_estimator(shared):
