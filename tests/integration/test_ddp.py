@@ -12,7 +12,7 @@ from safetensors.torch import load_file
 from kinema.experiments.config import compose, refuse_processes
 from kinema.experiments.run import run_stage
 
-STAGE_NODE = {"generator": "generator", "matching": "evaluator.matching"}
+STAGE_NODE = {"tokenizer": "tokenizer", "generator": "generator", "matching": "evaluator.matching"}
 UPSTREAM = {"generator": "tokenizer", "matching": "decomposition"}
 
 
@@ -22,15 +22,25 @@ def validation_losses(run: Path) -> list[float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", ["generator", "matching"])
-def test_two_processes_train_like_one(stage, overrides, script, tmp_path: Path):
+@pytest.mark.parametrize(
+    ("stage", "method"),
+    [
+        ("generator", []),
+        ("matching", []),
+        ("tokenizer", ["method=momask"]),  # codebooks that learn from all ranks, one number of active layers
+        ("generator", ["method=bad_oaas"]),  # one coin per batch
+    ],
+)
+def test_two_processes_train_like_one(stage, method, overrides, script, tmp_path: Path):
     # Dropout draws differ between ranks by nature; everything else is drawn for the global batch.
+    overrides = [*overrides, *method]
     same = [*overrides, "generator.model.dropout=0", f"{STAGE_NODE[stage]}.train.val_batches=2"]
     alone = run_stage(compose([*same, f"paths.runs={tmp_path}/alone"]), stage)
     # What comes before was trained with dropout: on one process here, so that both start from the same.
-    run_stage(compose([*same, f"paths.runs={tmp_path}/two"]), UPSTREAM[stage])
+    if stage in UPSTREAM:
+        run_stage(compose([*same, f"paths.runs={tmp_path}/two"]), UPSTREAM[stage])
     two = ["trainer.devices=2", "trainer.strategy=ddp", f"paths.runs={tmp_path}/two", f"stage={stage}"]
-    script("train.py", *same[len(overrides) :], *two)
+    script("train.py", *method, *same[len(overrides) :], *two)
     (together,) = (tmp_path / "two" / stage).iterdir()
     assert together.name == alone.path.name
     assert validation_losses(together) == pytest.approx(validation_losses(alone.path), rel=1e-3)
