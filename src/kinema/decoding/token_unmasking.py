@@ -11,6 +11,9 @@ from torch import Tensor
 from kinema.decoding.draws import TokenDraws
 from kinema.masking import lowest
 
+PART = 2**22
+"""Numbers that are worked on at once (16 MB)."""
+
 Predict = Callable[[Int[Tensor, "b n"], Bool[Tensor, "b n"], int], Float[Tensor, "b n k"]]
 """Give logits from (codes, masked, step); what the codes hold at masked positions means nothing."""
 
@@ -54,4 +57,7 @@ def unmask_tokens(
 
 
 def _log_probability(logits: Float[Tensor, "b n k"], chosen: Int[Tensor, "b n"]) -> Float[Tensor, "b n"]:
-    return logits.gather(-1, chosen[..., None])[..., 0] - logits.logsumexp(-1)
+    # In parts: temporaries as large as all logits would cost more in fresh memory than in arithmetic.
+    parts = logits.split(max(1, PART // logits[0].numel()))
+    total = torch.cat([part.logsumexp(-1) for part in parts])
+    return logits.gather(-1, chosen[..., None])[..., 0] - total

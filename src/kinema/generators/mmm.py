@@ -156,7 +156,8 @@ class MaskedMotionModel(nn.Module):
         """Give the cross entropy of all codes, masked or not, mean per sample, then over the batch (MMM, Training).
 
         Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
-        `shard` = (rank, world). Dropout is torch's own. `draws` replaces them all (tests).
+        `shard` = (rank, world); in eval mode no code is replaced. Dropout is torch's own. `draws` replaces them all
+        (tests).
         """
         codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
         batch, positions = codes.shape
@@ -165,7 +166,7 @@ class MaskedMotionModel(nn.Module):
             draws = MmmDraws.draw(
                 (batch * world, self.max_latents),
                 self.codebook_size,
-                pkeep=self.pkeep,
+                pkeep=self.pkeep if self.training else 1.0,
                 generator=generator,
                 device=codes.device,
             ).crop(slice(rank * batch, (rank + 1) * batch), positions)

@@ -46,6 +46,7 @@ KINDS: dict[str, Kind] = {
     "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",)),
     "t2m-gpt": Kind("kinema.interop.gpt", ("trans",)),
     "attt2m": Kind("kinema.interop.gpt", ("trans",)),
+    "mmm": Kind("kinema.interop.mmm", ("trans",)),
     "bad": Kind("kinema.interop.bad", ("trans",)),
     "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",)),
     "t2m-evaluator": Kind(
