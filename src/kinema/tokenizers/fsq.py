@@ -1,0 +1,77 @@
+"""Quantise without a codebook to learn: finite scalar quantisation, for ablations (arXiv 2309.15505)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from kinema.tokenizers.codebook import EMACodebook, Quantized, perplexity
+from kinema.tokenizers.ranks import gather_rows
+
+FEWEST = 3
+"""Least number of levels: two lie unevenly about zero."""
+
+
+class FiniteScalarQuantizer(nn.Module):
+    """Round each of a few bounded numbers to its levels; the codes are all their combinations.
+
+    `code_dim` numbers are projected to len(levels) and back. There is nothing to commit to and nothing to reset:
+    `commit` is 0; `dead_codes` counts as EMACodebook does, codes whose running count is below `threshold`. The
+    arithmetic is vector-quantize-pytorch's.
+    """
+
+    quantizers = 1
+    counts: Float[Tensor, " k"]
+
+    def __init__(
+        self, levels: Sequence[int], code_dim: int = 512, *, decay: float = 0.99, threshold: float = 1.0
+    ) -> None:
+        super().__init__()
+        levels = list(levels)
+        if not levels or min(levels) < FEWEST:
+            raise ValueError(f"levels={levels}; give at least one number of levels, each at least {FEWEST}")
+        try:
+            from vector_quantize_pytorch import FSQ
+        except ImportError as error:
+            raise ImportError(
+                "finite scalar quantisation needs vector-quantize-pytorch: pip install 'kinema[vq]'"
+            ) from error
+        self.codebook_size, self.code_dim = math.prod(levels), code_dim
+        self.decay, self.threshold = decay, threshold
+        self.fsq = FSQ(levels, dim=code_dim)
+        self.register_buffer("counts", torch.ones(self.codebook_size))
+
+    @property
+    def codebook(self) -> Float[Tensor, "k d"]:
+        """Give the code vectors, computed anew: the output projection of all combinations."""
+        device = self.counts.device
+        return self.fsq.indices_to_codes(torch.arange(self.codebook_size, device=device)).detach()
+
+    def forward(
+        self,
+        z: Float[Tensor, "b n d"],
+        real: Bool[Tensor, "b n"],
+        generator: torch.Generator | None = None,
+        shard: tuple[int, int] = (0, 1),
+    ) -> Quantized:
+        """Quantise; nothing is drawn, and in training mode only the counts are kept."""
+        with torch.autocast(z.device.type, enabled=False):
+            values, codes = self.fsq(z.float())
+        codes = codes.long().masked_fill(~real, 0)
+        chosen = gather_rows(codes[real], shard[1] if self.training else 1)
+        if self.training:
+            fresh = torch.bincount(chosen, minlength=self.codebook_size)
+            self.counts.mul_(self.decay).add_(fresh, alpha=1 - self.decay)
+        return Quantized(
+            values=values * real[..., None],
+            codes=codes[..., None],
+            commit=values.new_zeros(()),
+            perplexity=perplexity(chosen, self.codebook_size),
+            dead_codes=(self.counts < self.threshold).float().mean(),
+        )
+
+    lookup = EMACodebook.lookup  # it reads the codebook and its size alone
