@@ -9,12 +9,11 @@ from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
+from kinema.tokenizers.autoencoder import ROOT
 from kinema.tokenizers.codebook import EMACodebook, Quantizer
 from kinema.types import Latents, Losses, MotionBatch, frame_mask
 
 AUXILIARIES = ("joints", "velocities")
-ROOT = 4
-"""Dims of the root: yaw velocity, velocity x and z, height; they come first in every representation."""
 
 
 class VectorQuantized(nn.Module):
