@@ -24,7 +24,7 @@ def make(**options) -> MaskedMotionModel:
 
 @pytest.mark.parametrize("cross", [0, 1, 2])
 def test_round_trip(cross):
-    model = make(cross_layers=cross, token_dim=6 if cross else 5)
+    model = make(cross_layers=cross)
     nested = {"trans_base.vqvae.vqvae.encoder.model.0.weight": torch.zeros(3)}
     content = {"trans": {f"module.{k}": v for k, v in (mmm.export(model) | nested).items()}}
     copy = interop.load("mmm", content, heads=3, sampling={"steps": 4})
