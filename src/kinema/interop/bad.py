@@ -52,10 +52,8 @@ def load(
     state = dict(state)
     rows = len(require(state, TABLE, kind=kind))
     if (rows == MMM_ROWS) != from_mmm:
-        raise ValueError(
-            f"this file has {rows - 2} mask tokens: "
-            + ("it is MMM's; load it as 'mmm', or with from_mmm=True as BAD's start" if not from_mmm else "not MMM's")
-        )
+        fix = "has BAD's masks; leave from_mmm out" if from_mmm else "is MMM's; load it as 'mmm', or with from_mmm=True"
+        raise ValueError(f"this file with {rows - 2} mask tokens {fix}")
     if from_mmm:
         state[TABLE] = state[TABLE][[0, 1, *[2] * MASKS]]
     spec = {
