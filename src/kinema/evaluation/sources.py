@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from kinema.decoding.draws import SeededDraws
 from kinema.editing import task_slots
+from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.kept import encode_kept
 from kinema.types import Caption, Latents, MotionBatch, TextFeatures, frame_mask
 
@@ -66,16 +67,25 @@ class ShuffledCaptions:
 
 
 class Reconstruction:
-    """Answer with what a tokenizer makes of the real motion: the ceiling of every method that uses it."""
+    """Answer with what a tokenizer makes of the real motion: the ceiling of every method that uses it.
+
+    `usage` counts the codes of a tokenizer that has them.
+    """
 
     label, multimodal, reconstructs = "reconstruction", False, True
 
     def __init__(self, tokenizer: nn.Module) -> None:
         self.tokenizer = tokenizer.eval()
+        self.usage = None
+        if getattr(tokenizer, "codebook_size", None):
+            self.usage = CodeUsage(tokenizer.codebook_size, tokenizer.quantizers, sync_on_compute=False)
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Encode and decode the batch."""
-        decoded = self.tokenizer.decode(self.tokenizer.encode(batch))
+        latents = self.tokenizer.encode(batch)
+        if self.usage is not None:
+            self.usage.to(batch.features.device).update(latents)
+        decoded = self.tokenizer.decode(latents)
         return answer(batch, decoded.features, decoded.lengths)
 
 

@@ -85,6 +85,12 @@ class Scorer:
         )
         if self.cfg.source == "real":
             result.metrics["half_fid"] = self._half_fid(replication)
+        usage = getattr(self.source, "usage", None)
+        if usage is not None:
+            counted = usage.compute()
+            for key, name in (("codes_used", "used"), ("dead_codes", "dead"), ("code_perplexity", "perplexity")):
+                result.metrics[key] = float(counted[name])
+            usage.reset()
         return result
 
     def _batches(self, replication: int) -> Iterator[MotionBatch]:

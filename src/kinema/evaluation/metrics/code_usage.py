@@ -18,7 +18,7 @@ class CodeUsage(Metric):
 
     perplexity: exponential of the entropy of the codes' shares, about how many codes are used evenly. used, dead:
     codes that were chosen at least once, and never. The three are means over layers; `layer_...` has each layer's
-    (q,), and `histogram` (q, k) each layer's counts, the most used first.
+    (q,; torchmetrics makes it a scalar where there is one), and `histogram` (q, k) its counts, the most used first.
     """
 
     is_differentiable, higher_is_better, full_state_update = False, True, False
