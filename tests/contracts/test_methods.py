@@ -113,8 +113,10 @@ def test_a_motion_depends_on_its_own_seed_and_text_alone(pipeline, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_without_a_length_it_ends_itself_or_says_what_is_missing(pipeline, method):
+def test_without_a_length_it_ends_itself_or_says_what_is_missing(pipeline, workshop, method):
     model = pipeline(method)
+    declared = workshop.cfg(f"method={method}").generator.get("predicts_length", False)
+    assert declared == getattr(model.generator, "predicts_length", False)
     if not getattr(model.generator, "predicts_length", False):
         with pytest.raises(ValueError, match="no length: give frames="):
             model.generate(TEXTS[:2], seed=1)
