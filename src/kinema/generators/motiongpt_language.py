@@ -7,10 +7,11 @@ from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
+from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from kinema.generators.motiongpt_words import MINILM, find_file
+from kinema.generators.motiongpt_words import find_file
 from kinema.text.files import require
 
 FLAN = {
@@ -85,27 +86,22 @@ class LanguageModel(nn.Module):
         return transformers.EncoderDecoderCache(transformers.DynamicCache(), transformers.DynamicCache())
 
     def load(self, source: str) -> None:
-        """Copy the weights of a flan-t5 (local folder or hub id), or of "minilm" the word vectors.
+        """Copy the weights of a flan-t5 of these sizes (local folder or hub id).
 
-        Raises FileNotFoundError without the files, ValueError for a model of another size or kind.
+        Raises FileNotFoundError without its files, ValueError for a model of another size or kind.
         """
-        if source == MINILM:
-            self._load_word_vectors()
-        else:
-            self._load_t5(source)
-
-    def _load_t5(self, source: str) -> None:
         self._check(source, json.loads(find_file(source, "config.json", "weights").read_text(encoding="utf-8")))
-        state = load_file(find_file(source, "model.safetensors", "weights"))
+        file = find_file(source, "model.safetensors", "weights")
         # Files repeat the words per stack; old ones hold a bias of the cross-attention that T5 doesn't have.
         left_out = ("embed_tokens.weight", "block.0.layer.1.EncDecAttention.relative_attention_bias.weight")
         try:
+            state = load_file(file)
             for name in ("encoder", "decoder"):
                 own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
                 getattr(self, name).load_state_dict({k: v for k, v in own.items() if k not in left_out})
             fill(self.embedding.weight, state["shared.weight"], self.words)
             fill(self.head.weight, state["lm_head.weight"], self.words - self.first_class)
-        except (RuntimeError, KeyError) as error:
+        except (SafetensorError, RuntimeError, KeyError) as error:
             raise ValueError(f"the weights in {source!r} are not those of a flan-t5: {error}") from None
 
     def _check(self, source: str, config: dict[str, Any]) -> None:
@@ -116,16 +112,6 @@ class LanguageModel(nn.Module):
             if found.get(name) != wanted:
                 fix = f"set generator.model.{OPTIONS[name]}" if name in OPTIONS else "take a flan-t5"
                 raise ValueError(f"{source!r} has {name}={found.get(name)!r}, this model has {wanted!r}; {fix}")
-
-    @torch.no_grad()
-    def _load_word_vectors(self) -> None:
-        """Turn MiniLM's vectors to their principal axes, of which the first are kept, at the embedding's scale."""
-        state = load_file(find_file(MINILM, "model.safetensors", "weights"))
-        vectors = state["embeddings.word_embeddings.weight"].float()
-        width = self.embedding.weight.shape[1]
-        vectors = vectors - vectors.mean(0)
-        vectors = vectors @ torch.linalg.eigh(vectors.T @ vectors).eigenvectors.flip(1)[:, :width]
-        self.embedding.weight[: self.words] = vectors / vectors.std() * self.embedding.weight.std()
 
 
 @torch.no_grad()

