@@ -207,7 +207,7 @@ class BidirectionalAutoregressive(nn.Module):
                 logits = self(codes, masked, planned.orders, request.lengths, text, self.visible(planned, masked))
             return logits[:, self.conditions : -1]
 
-        choose = choice(draws, sampling.heat)
+        choose = choice(draws, sampling.effective_temperature)
         start = request.codes[..., 0]
         for masked, codes in unmask_tokens(start, planned.free, planned.counts, predict, choose, planned.priority):
             latents = Latents(request.lengths, request.frames, codes=codes[..., None])

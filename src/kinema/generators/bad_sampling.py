@@ -47,7 +47,7 @@ class BadSampling:
             raise ValueError(f"sampling.temperature is {self.temperature}; give 0 (the likeliest codes) or more")
 
     @property
-    def heat(self) -> float:
+    def effective_temperature(self) -> float:
         """Give the temperature, the sampler's own where none is set."""
         if self.temperature is None:
             return 0.0 if self.sampler == "oaas" else 1.0
