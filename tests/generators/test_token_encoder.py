@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kinema.generators.token_encoder import TokenEncoder
+from kinema.generators.token_encoder import EMBEDDING_STD, TokenEncoder
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
 
@@ -59,3 +59,11 @@ def test_dropout_reaches_the_prefix_only_where_it_has_positions():
         encoder = make(place_prefix).train()
         dropped = (encoder.embed(tokens, prefix)[:, 0] == 0).any()
         assert dropped == place_prefix
+
+
+def test_tokens_start_as_large_as_positions():
+    torch.manual_seed(0)
+    encoder = TokenEncoder(code_dim=128, text_dim=5, outputs=7, width=192, layers=1)
+    tokens = torch.randn(50, 49, 128) * EMBEDDING_STD
+    assert encoder.input_projection(tokens).std().item() == pytest.approx(1, rel=0.05)
+    assert not any(part.bias.any() for part in encoder.modules() if isinstance(part, torch.nn.Linear))

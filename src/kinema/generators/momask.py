@@ -13,7 +13,7 @@ from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import Choose, choice, unmask_tokens
 from kinema.generators.checks import check_codes, token_request
 from kinema.generators.reduction import mean_over_ranks
-from kinema.generators.token_encoder import TokenEncoder, guided_logits
+from kinema.generators.token_encoder import EMBEDDING_STD, TokenEncoder, guided_logits
 from kinema.masking import cosine_counts, cosine_ratio, masked_count
 from kinema.nn.mode import inference
 from kinema.types import Known, Latents, Losses, TextFeatures
@@ -130,7 +130,7 @@ class MaskedTransformer(nn.Module):
             heads=heads,
             dropout=dropout,
         )
-        nn.init.normal_(self.token_embedding.weight, std=0.02)
+        nn.init.normal_(self.token_embedding.weight, std=EMBEDDING_STD)
 
     def forward(
         self, ids: Int[Tensor, "b n"], text: Float[Tensor, "b t"], real: Bool[Tensor, "b n"]

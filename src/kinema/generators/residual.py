@@ -14,7 +14,7 @@ from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.generators.checks import check_codes
 from kinema.generators.momask import check_draw, likely_choice
 from kinema.generators.reduction import mean_over_ranks
-from kinema.generators.token_encoder import TokenEncoder, guided_logits
+from kinema.generators.token_encoder import EMBEDDING_STD, TokenEncoder, guided_logits
 from kinema.nn.mode import inference
 from kinema.types import Known, Latents, Losses, TextFeatures
 
@@ -110,10 +110,9 @@ class ResidualTransformer(nn.Module):
             heads=heads,
             dropout=dropout,
         )
-        for weight in (self.tables, self.score_tables, self.layer_projection.weight):
-            if weight is not None:
-                nn.init.normal_(weight, std=0.02)
-        nn.init.zeros_(self.layer_projection.bias)
+        for table in (self.tables, self.score_tables):
+            if table is not None:
+                nn.init.normal_(table, std=EMBEDDING_STD)
 
     def history(self, codes: Int[Tensor, "b n q"], layer: Int[Tensor, " b"]) -> Float[Tensor, "b n d"]:
         """Sum the embedded codes of each sample's layers below `layer`."""

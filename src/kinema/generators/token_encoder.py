@@ -11,8 +11,10 @@ from torch.nn import functional as F
 
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
-from kinema.nn.transformer import TransformerBlock, initialize, run
+from kinema.nn.transformer import TransformerBlock, run
 
+EMBEDDING_STD = 0.02
+"""Of the token vectors that the owners of an encoder start with."""
 LAYER_NORM_EPSILON = 1e-12
 """Of the output's norm alone (MoMask §2)."""
 
@@ -51,7 +53,15 @@ class TokenEncoder(nn.Module):
             nn.LayerNorm(width, eps=LAYER_NORM_EPSILON),
             nn.Linear(width, outputs),
         )
-        initialize(self)
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Initialise so that projected tokens start as large as positions (ours; the specs are silent)."""
+        for part in self.modules():
+            if isinstance(part, nn.Linear):
+                nn.init.xavier_uniform_(part.weight)
+                nn.init.zeros_(part.bias)
+        nn.init.normal_(self.input_projection.weight, std=1 / (EMBEDDING_STD * self.input_projection.in_features**0.5))
 
     def embed(
         self, tokens: Float[Tensor, "b n c"], prefix: Float[Tensor, "b p w"] | None = None, start: int = 0
