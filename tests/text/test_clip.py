@@ -6,6 +6,7 @@ import shutil
 import pytest
 import torch
 
+from kinema.text.cache import CachedTextEncoder
 from kinema.text.encoders import build_text_encoder
 from kinema.text.tokens import clip_tokens
 
@@ -34,8 +35,40 @@ def test_pooled_is_the_projected_end_feature_and_tokens_are_before_the_projectio
     assert not found.pooled.requires_grad
 
 
-def test_long_text_is_truncated_to_the_context_and_keeps_its_end(tiny_clip):
-    encoder = build_text_encoder("clip_b32", tiny_clip)
+def test_all_positions_are_those_of_the_published_padding(tiny_clip):
+    from transformers import CLIPModel
+
+    encoder = build_text_encoder("clip_b32_77", tiny_clip)
+    found, short = encoder(TEXTS), build_text_encoder("clip_b32", tiny_clip)(TEXTS)
+    ids = clip_tokens("auto", tiny_clip)(TEXTS)  # 77 ids, zeros behind the end: what the published tokenizer gives
+    model = CLIPModel.from_pretrained(tiny_clip).eval().text_model
+    with torch.no_grad():
+        expected = model(ids).last_hidden_state
+        behind = torch.arange(77) > ids.argmax(1)[:, None]
+        padded_otherwise = model(ids.masked_fill(behind, int(ids.max()))).last_hidden_state
+    torch.testing.assert_close(found.tokens, expected, rtol=1e-4, atol=1e-5)
+    assert (found.tokens - padded_otherwise)[:, -1].abs().max() > 0.1
+    assert found.token_mask.shape == (2, 77)
+    assert found.token_mask.all()
+    torch.testing.assert_close(found.pooled, short.pooled, rtol=1e-4, atol=1e-5)
+    alone = encoder(TEXTS[1:])
+    torch.testing.assert_close(alone.tokens[0], found.tokens[1], rtol=1e-4, atol=1e-5)
+
+
+def test_all_positions_have_a_cache_of_their_own(tiny_clip, tmp_path):
+    plain, whole = (build_text_encoder(name, tiny_clip) for name in ("clip_b32", "clip_b32_77"))
+    assert whole.identity.startswith("clip_b32_77-")
+    assert whole.identity.removeprefix("clip_b32_77") == plain.identity.removeprefix("clip_b32")
+    caches = [CachedTextEncoder(encoder, tmp_path) for encoder in (plain, whole)]
+    assert [cache(TEXTS).tokens.shape[1] for cache in caches] == [plain(TEXTS).tokens.shape[1], 77]
+    again = CachedTextEncoder(whole, tmp_path)
+    torch.testing.assert_close(again(TEXTS).tokens, whole(TEXTS).tokens)
+    assert again.encoded == 0
+
+
+@pytest.mark.parametrize("name", ["clip_b32", "clip_b32_77"])
+def test_long_text_is_truncated_to_the_context_and_keeps_its_end(tiny_clip, name):
+    encoder = build_text_encoder(name, tiny_clip)
     found = encoder(["walk " * 100])
     assert found.token_mask.sum() == 77
     assert torch.isfinite(found.pooled).all()

@@ -13,15 +13,24 @@ from kinema.text.encoders import check_texts, encode_in_chunks
 from kinema.text.files import INSTALL, clip_folder, quiet_loading, require, short_hash, weights_file
 from kinema.types import TextFeatures
 
-REPOSITORIES = {"clip_b32": "openai/clip-vit-base-patch32", "clip_l14": "openai/clip-vit-large-patch14"}
+REPOSITORIES = {
+    "clip_b32": "openai/clip-vit-base-patch32",
+    "clip_b32_77": "openai/clip-vit-base-patch32",
+    "clip_l14": "openai/clip-vit-large-patch14",
+}
+WHOLE = ("clip_b32_77",)
+"""Encoders whose token features are those of the whole context, padding and all."""
+PADDING = 0
+"""The id that the published tokenizer pads with; transformers' pads with the end of text."""
 OPTION = f"text.path=FOLDER, or train without CLIP: text=minilm ({INSTALL})"
 
 
 class ClipTextEncoder:
     """Encode with CLIP ViT-B/32 or ViT-L/14: pooled is the projected end-of-text feature, not normalised.
 
-    Token features are the final layer norm's output before the projection; the mask covers start to end of text.
-    Runs in the precision of the file (fp32); the published code converts the weights to fp16.
+    Token features are the final layer norm's output before the projection; the mask covers start to end of text, in
+    "clip_b32_77" all 77 positions, as MMM, BAD and AttT2M read them (COMMON §6): at padding stand features of the text
+    too. Runs in the precision of the file (fp32); the published code converts the weights to fp16.
     """
 
     def __init__(self, name: str, path: str | Path | None = None, device: torch.device | str = "cpu") -> None:
@@ -33,6 +42,7 @@ class ClipTextEncoder:
         config = transformers.CLIPTextConfig.from_pretrained(self.folder)
         self.dim, self.token_dim = config.projection_dim, config.hidden_size
         self.context, self.vocabulary = config.max_position_embeddings, config.vocab_size
+        self.whole = name in WHOLE
         self.identity = f"{name}-{short_hash(weights_file(self.folder))}"
 
     @functools.cached_property
@@ -52,10 +62,13 @@ class ClipTextEncoder:
 
     @torch.no_grad()
     def _encode(self, texts: list[str]) -> tuple[Tensor, Tensor, Tensor]:
-        batch = self.tokenizer(texts, padding=True, truncation=True, max_length=self.context, return_tensors="pt")
-        batch = {k: batch[k].to(self.device) for k in ("input_ids", "attention_mask")}
-        out = self.model(**batch)
-        return out.text_embeds, out.last_hidden_state, batch["attention_mask"].sum(1)
+        padding = "max_length" if self.whole else "longest"
+        batch = self.tokenizer(texts, padding=padding, truncation=True, max_length=self.context, return_tensors="pt")
+        ids, mask = (batch[k].to(self.device) for k in ("input_ids", "attention_mask"))
+        if self.whole:
+            ids, mask = ids.masked_fill(mask == 0, PADDING), torch.ones_like(mask)
+        out = self.model(input_ids=ids, attention_mask=mask)
+        return out.text_embeds, out.last_hidden_state, mask.sum(1)
 
 
 def clip_tokenizer(folder: Path, vocabulary: int) -> Any:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from kinema.types import TextFeatures, frame_mask
 
-ENCODERS = ("clip_b32", "clip_l14", "minilm", "hashed")
+ENCODERS = ("clip_b32", "clip_b32_77", "clip_l14", "minilm", "hashed")
 CHUNK = 128
 
 
@@ -37,7 +37,7 @@ def build_text_encoder(
     name: str, path: str | Path | None = None, device: torch.device | str = "cpu"
 ) -> FrozenTextEncoder:
     """Make a frozen text encoder by name; `path` is a local folder, or for CLIP a hub id."""
-    if name in ("clip_b32", "clip_l14"):
+    if name.startswith("clip_") and name in ENCODERS:
         from kinema.text.clip import ClipTextEncoder
 
         return ClipTextEncoder(name, path, device)
