@@ -168,7 +168,7 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
     change = ["edit", "--motion", "none.npz", "--text", "x", "--run", str(run), "--out", "a.npz", "--regenerate"]
     fails(capsys, [*change, "0:4"], "no such file: none.npz")
     fails(capsys, ["import", "mardm-ae", "none.tar", "--out", "runs/b"], "no checkpoint file at none.tar")
-    fails(capsys, ["import", "mardm", "mardm.tar", "--out", "runs/b"], "a mardm needs --tokenizer RUN")
+    fails(capsys, ["import", "mardm", "mardm.tar", "--out", "runs/b"], "mardm needs --tokenizer RUN")
     again = ["import", "mardm", "mardm.tar", "--out", "runs/b", "--tokenizer", "runs/ae"]
     fails(capsys, again, "'mardm' needs the option 'variant'")
     fails(capsys, ["import", "mardm-ae", "ae.tar", "--out", "runs/ae"], "runs/ae exists; choose another folder")

@@ -10,7 +10,9 @@ from typing import Any
 
 from kinema import __version__
 
-KINDS = ("mardm-ae", "mardm", "length-estimator", "t2m-evaluator", "clip-evaluator")
+TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq")
+GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm")
+KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
 RANGE_HELP = (
     "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
@@ -75,8 +77,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="PATH",
         help="what it was trained with: a folder with Mean.npy and Std.npy, or the two files, mean first",
     )
-    read.add_argument("--tokenizer", metavar="RUN", help="run folder of a mardm's autoencoder")
-    read.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
+    read.add_argument("--tokenizer", metavar="RUN", help="run folder of the tokenizer; every generator needs it")
+    read.add_argument("--residual", metavar="RUN", help="run folder of the residual transformer (momask, bamm)")
+    read.add_argument("--length", metavar="RUN", help="run folder of a length estimator (generators)")
     read.add_argument("--text", default="clip_b32", help="text encoder it was trained with (default clip_b32)")
     read.add_argument("--text-path", help="local folder of the text encoder")
     _add_settings(read, "importer option, e.g. variant=sit")

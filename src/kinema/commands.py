@@ -10,13 +10,14 @@ from pathlib import Path
 
 import torch
 
-from kinema import artifacts, interop
+from kinema import artifacts
 from kinema.data import doctor as examine
 from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
 from kinema.editing import complement, parse_ranges
-from kinema.folders import new_folder, read_json, write_json
+from kinema.folders import read_json
+from kinema.interop.runs import CALLS, import_run
 from kinema.motion import export
 from kinema.motion.features import extract
 from kinema.motion.html import save_html
@@ -72,22 +73,11 @@ def import_checkpoint(options: argparse.Namespace) -> None:
     settings = dict(options.set)
     if options.statistics:
         settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
-    links = {name: getattr(options, name) for name in ("tokenizer", "length") if getattr(options, name)}
-    if options.kind == "mardm" and not {"tokenizer"} <= links.keys():
-        raise ValueError("a mardm needs --tokenizer RUN, the run folder of its imported autoencoder (mardm-ae)")
-    for name, folder in links.items():
-        if not (Path(folder) / artifacts.WEIGHTS).is_file():
-            raise FileNotFoundError(f"--{name} {folder} has no {artifacts.WEIGHTS}; import that part first")
-    module = interop.load(options.kind, options.file, **settings)
-    out = Path(options.out)
-    with new_folder(out) as folder:
-        artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, kind=options.kind, source=str(options.file))
-        write_json(folder / "upstream.json", {name: os.path.relpath(run, out) for name, run in links.items()})
-        if options.kind in ("mardm", "length-estimator"):
-            write_json(folder / "text.json", {"encoder": options.text, "path": options.text_path})
-        write_json(folder / "status.json", {"state": "done", "imported": str(options.file)})
+    links = {part: getattr(options, part) for part in CALLS if getattr(options, part)}
+    text = {"text": options.text, "text_path": options.text_path}
+    module = import_run(options.kind, options.file, options.out, links=links, options=settings, **text)
     size = sum(p.numel() for p in module.parameters())
-    print(f"wrote {out} ({type(module).__name__}, {size:,} parameters)")
+    print(f"wrote {options.out} ({type(module).__name__}, {size:,} parameters)")
     if hasattr(module, "representation") and "statistics" not in settings:
         print("note: its mean and std are unknown; import it with --statistics PATH to use it")
 

@@ -148,7 +148,7 @@ def test_what_does_not_fit_is_listed(published):
 
 
 def test_wrong_requests_are_named(published, tmp_path):
-    with pytest.raises(ValueError, match="unknown kind of checkpoint 'mardm_ae'; allowed: mardm-ae, mardm"):
+    with pytest.raises(ValueError, match="unknown kind of checkpoint 'mardm_ae'; allowed: mardm-ae, t2m-gpt-vq"):
         interop.load("mardm_ae", published)
     with pytest.raises(ValueError, match="has no option 'widht'; allowed: statistics"):
         interop.load("mardm-ae", published, widht=3)

@@ -18,55 +18,69 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from torch import nn
 
 from kinema.interop.checkpoint import read_checkpoint, unwrap
 
+_BASE = ("t2m_transformer", "trans")
+_MATCHING = ("movement_encoder", "text_encoder", "motion_encoder")
+
 
 @dataclass(frozen=True)
 class Kind:
-    """Name an importer's module and the wrappers of its files (`several`: each holds a part)."""
+    """Describe a kind: its importer's module, the wrappers of its files (`several`: each holds a part) and its place.
+
+    `part` is what it is of a method. A generator's `tokenizer` and `residual` name the kinds that it was published
+    with.
+    """
 
     module: str
     wrappers: tuple[str, ...]
+    part: Literal["tokenizer", "generator", "residual", "length", "evaluator"]
+    tokenizer: str | None = None
+    residual: str | None = None
     several: bool = False
 
 
 KINDS: dict[str, Kind] = {
-    "mardm-ae": Kind("kinema.interop.autoencoder", ("ae",)),
-    "t2m-gpt-vq": Kind("kinema.interop.vq", ("net",)),
-    "mmm-vq": Kind("kinema.interop.vq", ("net",)),
-    "momask-rvq": Kind("kinema.interop.rvq", ("vq_model", "net")),
-    "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm")),
-    "momask": Kind("kinema.interop.momask", ("t2m_transformer", "trans")),
-    "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",)),
-    "bamm": Kind("kinema.interop.bamm", ("t2m_transformer", "trans")),
-    "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",)),
-    "t2m-gpt": Kind("kinema.interop.gpt", ("trans",)),
-    "attt2m": Kind("kinema.interop.gpt", ("trans",)),
-    "mmm": Kind("kinema.interop.mmm", ("trans",)),
-    "bad": Kind("kinema.interop.bad", ("trans",)),
-    "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",)),
-    "t2m-evaluator": Kind(
-        "kinema.interop.t2m_evaluator", ("movement_encoder", "text_encoder", "motion_encoder"), several=True
-    ),
-    "clip-evaluator": Kind("kinema.interop.clip_evaluator", ("contrast_model",)),
+    "mardm-ae": Kind("kinema.interop.autoencoder", ("ae",), "tokenizer"),
+    "t2m-gpt-vq": Kind("kinema.interop.vq", ("net",), "tokenizer"),
+    "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",), "tokenizer"),
+    "mmm-vq": Kind("kinema.interop.vq", ("net",), "tokenizer"),
+    "momask-rvq": Kind("kinema.interop.rvq", ("vq_model", "net"), "tokenizer"),
+    "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm"), "generator", "mardm-ae"),
+    "t2m-gpt": Kind("kinema.interop.gpt", ("trans",), "generator", "t2m-gpt-vq"),
+    "attt2m": Kind("kinema.interop.gpt", ("trans",), "generator", "attt2m-vq"),
+    "mmm": Kind("kinema.interop.mmm", ("trans",), "generator", "mmm-vq"),
+    "bad": Kind("kinema.interop.bad", ("trans",), "generator", "mmm-vq"),
+    "momask": Kind("kinema.interop.momask", _BASE, "generator", "momask-rvq", "momask-residual"),
+    "bamm": Kind("kinema.interop.bamm", _BASE, "generator", "momask-rvq", "momask-residual"),
+    "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",), "residual", "momask-rvq"),
+    "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",), "length"),
+    "t2m-evaluator": Kind("kinema.interop.t2m_evaluator", _MATCHING, "evaluator", several=True),
+    "clip-evaluator": Kind("kinema.interop.clip_evaluator", ("contrast_model",), "evaluator"),
 }
 
 
-def load(kind: str, source: str | Path | Mapping[str, Any], **options: Any) -> nn.Module:
+def load(kind: str, source: str | Path | Mapping[str, Any], /, **options: Any) -> nn.Module:
     """Load a published checkpoint (a file or its content) as a module in eval mode.
 
     Raises ValueError for an unknown kind or option, a damaged file or one that holds code, or keys that don't fit.
     """
+    known = find_kind(kind)
+    importer = importlib.import_module(known.module).load
+    options = _checked(kind, importer, options)
+    content = source if isinstance(source, Mapping) else read_checkpoint(source)
+    return importer(unwrap(content, known.wrappers, several=known.several), **options).eval()
+
+
+def find_kind(kind: str) -> Kind:
+    """Give a kind by its name; raises ValueError for an unknown one."""
     if kind not in KINDS:
         raise ValueError(f"unknown kind of checkpoint {kind!r}; allowed: {', '.join(KINDS)}")
-    content = source if isinstance(source, Mapping) else read_checkpoint(source)
-    state = unwrap(content, KINDS[kind].wrappers, several=KINDS[kind].several)
-    importer = importlib.import_module(KINDS[kind].module).load
-    return importer(state, **_checked(kind, importer, options)).eval()
+    return KINDS[kind]
 
 
 def _checked(kind: str, importer: Any, options: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,94 @@
+"""Write a published checkpoint as a run folder, linked to the runs that it is used with (`kinema import`)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from kinema import artifacts, interop
+from kinema.compatibility import check_pair
+from kinema.folders import load_part, new_folder, write_json
+from kinema.interop import Kind, find_kind
+from kinema.text.encoders import ENCODERS
+
+CALLS = {"tokenizer": "decode", "length": "predict", "residual": "complete"}
+"""What a part that a run is linked to can be told by."""
+
+READS_TEXT = ("generator", "residual", "length")
+
+
+def import_run(
+    kind: str,
+    source: str | Path,
+    out: str | Path,
+    *,
+    links: Mapping[str, str | Path] | None = None,
+    text: str = "clip_b32",
+    text_path: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> nn.Module:
+    """Turn a published checkpoint into the run folder `out`; nothing is written unless all parts fit together.
+
+    `links` names the run folders of its tokenizer, length estimator and residual transformer. A generator needs a
+    tokenizer. `text` is the encoder it was trained with, which no file names; `options` are the importer's. Raises
+    ValueError or FileNotFoundError.
+    """
+    links = {part: Path(run) for part, run in (links or {}).items()}
+    known = find_kind(kind)
+    _check_links(kind, known, links)
+    if text not in ENCODERS:
+        raise ValueError(f"unknown text encoder {text!r}; choose --text one of {', '.join(ENCODERS)}")
+    parts = {part: _load_part(part, run) for part, run in links.items()}
+    module = interop.load(kind, source, **(options or {}))
+    check_parts({known.part: module, **parts})
+    out = Path(out)
+    with new_folder(out) as folder:
+        artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, kind=kind, source=str(source))
+        write_json(folder / "upstream.json", {part: os.path.relpath(run, out) for part, run in links.items()})
+        if known.part in READS_TEXT:
+            write_json(folder / "text.json", {"encoder": text, "path": text_path})
+        write_json(folder / "status.json", {"state": "done", "imported": str(source)})
+    return module
+
+
+def check_parts(parts: Mapping[str, nn.Module]) -> None:
+    """Raise one ValueError that names what doesn't match: codes, downsampling, the codebook, the text's width."""
+    if {"generator", "residual"} <= parts.keys():
+        from kinema.generators.cascade import Cascade
+
+        Cascade(base=parts["generator"], residual=parts["residual"])
+    for name in ("generator", "residual"):
+        if {"tokenizer", name} <= parts.keys():
+            check_pair(parts["tokenizer"], parts[name])
+    widths = {name: part.spec["text_dim"] for name, part in parts.items() if "text_dim" in part.spec}
+    if len(set(widths.values())) > 1:
+        listed = ", ".join(f"the {name} {width}" for name, width in widths.items())
+        raise ValueError(f"the parts read text vectors of different widths ({listed}); use parts of one text encoder")
+
+
+def _check_links(kind: str, known: Kind, links: Mapping[str, Path]) -> None:
+    published = {"tokenizer": known.tokenizer, "residual": known.residual}
+    allowed = [part for part, name in published.items() if name]
+    if known.part == "generator":
+        allowed.append("length")
+    for part in links:
+        if part not in allowed:
+            takes = " and ".join(f"--{name}" for name in allowed) or "no other run"
+            raise ValueError(f"{kind} takes no --{part}; it takes {takes}")
+    if known.part == "generator" and "tokenizer" not in links:
+        raise ValueError(
+            f"{kind} needs --tokenizer RUN, the run folder of the tokenizer that it was trained on "
+            f"(published with it: kinema import {known.tokenizer})"
+        )
+
+
+def _load_part(part: str, run: Path) -> nn.Module:
+    module, _ = load_part(run, "cpu")
+    if not hasattr(module, CALLS[part]):
+        what = {"length": "length estimator", "residual": "residual transformer"}.get(part, part)
+        raise ValueError(f"--{part} {run} holds a {type(module).__name__}; give the run folder of a {what}")
+    return module
