@@ -64,7 +64,7 @@ def test_the_table_has_a_row_per_layer_and_their_mean():
         "| vq (smoke, seed 0) | redundant | 1 | 4 | 3 | 1 | 2.5 |",
         "| rvq (smoke, seed 0) | essential | 1 | 4 | 2 | 2 | 2.5 |",
         "| rvq (smoke, seed 0) | essential | 2 | 4 | 4 | 0 | 2.5 |",
-        "| rvq (smoke, seed 0) | essential | mean | 4 | 3 | 1 | 2.5 |",
+        "| rvq (smoke, seed 0) | essential | mean | 4 | 3.0 | 1.0 | 2.5 |",
     ]
     assert "synthetic (abc), split test" in text
 

@@ -112,7 +112,8 @@ def markdown(results: list[dict[str, Any]]) -> str:
         start = [label(result), result["dims"]]
         rows = list(enumerate(result["layers"], 1))
         for name, row in rows if len(rows) == 1 else [*rows, ("mean", result)]:
-            cells = [f"{row['used']:g}", f"{row['dead']:g}", f"{row['perplexity']:.1f}"]
+            digits = 1 if name == "mean" else 0
+            cells = [f"{row['used']:.{digits}f}", f"{row['dead']:.{digits}f}", f"{row['perplexity']:.1f}"]
             lines.append("| " + " | ".join([*start, str(name), str(result["codebook_size"]), *cells]) + " |")
     places = sorted({f"{r['corpus']['name']} ({r['corpus']['hash']}), split {r['corpus']['split']}" for r in results})
     runs = [f"- {label(r)}, {r['dims']}: `{r['run']}`, {r['codes']} positions" for r in results]
@@ -135,6 +136,8 @@ def draw(results: list[dict[str, Any]], path: Path) -> Path:
             panel.set_title(f"{name}, {kind}", fontsize=10)
             for result in found[kind]:
                 _histogram(panel, result)
+            if not found[kind]:
+                panel.text(0.5, 0.5, "no run", transform=panel.transAxes, ha="center", color="grey")
         line[0].set_ylabel("share of use")
     for panel in panels[-1]:
         panel.set_xlabel("codes, the most used first")
