@@ -19,6 +19,9 @@ _GOLDEN, _MIX1, _MIX2 = -0x61C8864680B583EB, -0x40A7B892E31B1A47, -0x6B2FB644ECC
 LARGEST = 1 - 2.0**-22
 """Numbers stay this far below 1, so that their product with a sum of probabilities stays below the sum."""
 
+BLOCK = 1 << 22
+"""Probabilities that are worked on at once: fresh memory costs more than the arithmetic on it."""
+
 
 @runtime_checkable
 class TokenDraws(Protocol):
@@ -66,9 +69,15 @@ def uniform(seeds: Int[Tensor, " b"], step: int, size: int) -> Float[Tensor, "b 
 
 def categorical(logits: Float[Tensor, "*b k"], uniform: Float[Tensor, "*b"]) -> Int[Tensor, "*b"]:
     """Draw a class of softmax(logits) by the inverse of its distribution function; -inf is never drawn."""
+    rows = logits.flatten(0, -2).split(max(1, BLOCK // logits.shape[-1]))
+    numbers = uniform.flatten().split(len(rows[0]))
+    return torch.cat([_invert(*part) for part in zip(rows, numbers, strict=True)]).unflatten(0, uniform.shape)
+
+
+def _invert(logits: Float[Tensor, "m k"], uniform: Float[Tensor, " m"]) -> Int[Tensor, " m"]:
     total = logits.float().softmax(-1).cumsum(-1)
-    target = uniform[..., None] * total[..., -1:]
-    return torch.searchsorted(total, target, right=True)[..., 0].clamp(max=logits.shape[-1] - 1)
+    target = uniform[:, None] * total[:, -1:]
+    return torch.searchsorted(total, target, right=True)[:, 0].clamp(max=logits.shape[-1] - 1)
 
 
 def _shift(x: Int[Tensor, "*b"], bits: int) -> Int[Tensor, "*b"]:
