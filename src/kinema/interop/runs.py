@@ -66,7 +66,7 @@ def check_parts(parts: Mapping[str, nn.Module]) -> None:
             check_pair(parts["tokenizer"], parts[name])
     widths = {name: part.spec["text_dim"] for name, part in parts.items() if "text_dim" in part.spec}
     if len(set(widths.values())) > 1:
-        listed = ", ".join(f"the {name} {width}" for name, width in widths.items())
+        listed = ", ".join(f"{name} {width}" for name, width in widths.items())
         raise ValueError(f"the parts read text vectors of different widths ({listed}); use parts of one text encoder")
 
 
