@@ -9,7 +9,7 @@ ARGS   ?=
 PY     := $(VENV)/bin/python
 STAMP  := $(VENV)/.installed
 
-.PHONY: install test lint bench demo doctor reproduce-all clean-reports
+.PHONY: install test lint bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
 install: $(STAMP)
 
 # torch first and pinned: an open range would pull gigabytes of CUDA wheels onto a CPU machine.
@@ -36,6 +36,10 @@ doctor: $(STAMP)
 # make reproduce-table5, ...: one file of conf/table each.
 reproduce-%: $(STAMP)
 	$(PY) -m kinema.experiments.reproduce $* data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(ARGS)
+
+# Figure 2 of the BAD paper, drawn from the masks in use.
+reproduce-bad-figure2: $(STAMP)
+	$(PY) -m kinema.experiments.bad_masks --out reports/bad-figure2
 
 reproduce-all: $(patsubst conf/table/%.yaml,reproduce-%,$(wildcard conf/table/*.yaml))
 

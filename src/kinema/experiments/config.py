@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
+from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[3] / "conf"
 SCALES = ("paper", "tiny", "smoke")
@@ -48,7 +48,10 @@ def plain(node: Any) -> Any:
         return OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
         key = getattr(error, "full_key", None)
-        raise ValueError(f"config: {str(error).splitlines()[0]}{f' (set {key})' if key else ''}") from None
+        hint = f" (set {key})" if key else ""
+        if isinstance(error, InterpolationKeyError):
+            hint = f" ({key} reads it: parts of different methods? choose the method=... that these parts belong to)"
+        raise ValueError(f"config: {str(error).splitlines()[0]}{hint}") from None
 
 
 def validate(cfg: DictConfig) -> None:

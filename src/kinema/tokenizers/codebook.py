@@ -123,6 +123,8 @@ class EMACodebook(nn.Module):
         super().__init__()
         if reset not in RESETS:
             raise ValueError(f"reset {reset!r} is unknown; choose one of {', '.join(RESETS)}")
+        if codebook_size < 1 or code_dim < 1:
+            raise ValueError(f"codebook_size={codebook_size}, code_dim={code_dim}; both must be at least 1")
         self.codebook_size, self.code_dim = codebook_size, code_dim
         self.reset, self.decay, self.threshold, self.temperature = reset, decay, threshold, temperature
         self.register_buffer("codebook", torch.zeros(codebook_size, code_dim))
