@@ -110,6 +110,17 @@ def test_a_residual_transformer_completes_the_codes(golden_import):
     assert read_json(Path(residual) / "text.json")["encoder"] == "clip_b32"
 
 
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq"])
+def test_shipped_deviations_are_not_divided_again(golden_import, name):
+    std = artifacts.load(f"{golden_import(name)}/{artifacts.WEIGHTS}")[0].representation.std
+    assert std[[0, 3, -1]].tolist() == pytest.approx([0.1 / 25] * 3)
+    assert std[10] == pytest.approx(0.1)
+    shutil.rmtree(f"runs/{name}")
+    std = artifacts.load(f"{golden_import(name, '--set', 'variant=raw')}/{artifacts.WEIGHTS}")[0].representation.std
+    assert std.unique().tolist() == pytest.approx([0.1])
+
+
 # What doesn't fit, on parts of other sizes
 
 SIZES = {"codebook_size": 11, "code_dim": 5, "text_dim": 7, "width": 12, "feedforward": 20, "heads": 2}

@@ -23,18 +23,19 @@ def load(
     state: Mapping[str, Tensor],
     *,
     statistics: Any = None,
+    variant: str | None = None,
     heads: int = 4,
     dropout: float = 0.2,
     mask_padding: bool = True,
 ) -> nn.Module:
     """Load a published tokenizer with its body-part encoder; `heads` cannot be told from shapes.
 
-    `mask_padding=False` lets padding leak into the clips' ends, as published.
+    `variant` as in `vq.load`; `mask_padding=False` lets padding leak into the clips' ends.
     """
     state = {k.removeprefix("vqvae."): v for k, v in state.items()}
     parts = body_parts(state)
     state[PARTS] = require(state, PARTS, kind=KIND).flatten(0, 1)
-    net = network(state, KIND)
+    net = network(state, KIND, variant)
     spec = {
         "_target_": "kinema.tokenizers.vq.VectorQuantized",
         **net,

@@ -17,14 +17,18 @@ def load(
     state: Mapping[str, Tensor],
     *,
     statistics: Any = None,
+    variant: str | None = None,
     dropout: float = 0.2,
     quantizer_dropout: float = 0.2,
     temperature: float = 0.5,
     mask_padding: bool = True,
 ) -> nn.Module:
-    """Load a published RVQ-VAE; `mask_padding=False` lets padding leak into the clips' ends, as published."""
+    """Load a published RVQ-VAE; `variant` as in `vq.load`.
+
+    `mask_padding=False` lets padding leak into the clips' ends, as published.
+    """
     kind = "momask-rvq"
-    net = network(state, kind)
+    net = network(state, kind, variant)
     spec = {
         "_target_": "kinema.tokenizers.vq.VectorQuantized",
         **net,

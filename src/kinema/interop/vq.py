@@ -21,11 +21,17 @@ LARGE = 8192
 
 
 def load(
-    state: Mapping[str, Tensor], *, statistics: Any = None, reset: str | None = None, mask_padding: bool = True
+    state: Mapping[str, Tensor],
+    *,
+    statistics: Any = None,
+    variant: str | None = None,
+    reset: str | None = None,
+    mask_padding: bool = True,
 ) -> nn.Module:
     """Load a published VQ-VAE; `reset` (EMACodebook's, default by the number of codes) is for training on.
 
-    `mask_padding=False` lets padding leak into the clips' ends.
+    `variant="raw"` is for statistics that were shipped with the published code, whose deviations are divided already
+    (as `t2m_evaluator.load` has it). `mask_padding=False` lets padding leak into the clips' ends.
     """
     kind = "t2m-gpt-vq"
     # The network stands below this name in T2M-GPT's files and its descendants'.
@@ -33,7 +39,7 @@ def load(
     size, dim = require(state, "quantizer.codebook", kind=kind).shape
     spec = {
         "_target_": "kinema.tokenizers.vq.VectorQuantized",
-        **network(state, kind),
+        **network(state, kind, variant),
         "quantizer": {
             "_target_": "kinema.tokenizers.codebook.EMACodebook",
             "codebook_size": size,
@@ -46,7 +52,7 @@ def load(
     return fit_statistics(transfer_codes(spec, state, rules, kind=kind), statistics)
 
 
-def network(state: Mapping[str, Tensor], kind: str) -> dict[str, Any]:
+def network(state: Mapping[str, Tensor], kind: str, variant: str | None = None) -> dict[str, Any]:
     """Describe the representation and the conv net of a published tokenizer of codes."""
     width, _, _ = require(state, "encoder.model.0.weight", kind=kind).shape
     levels = count(state, r"encoder\.model\.(\d+)\.0\.weight")
@@ -54,7 +60,7 @@ def network(state: Mapping[str, Tensor], kind: str) -> dict[str, Any]:
     first = "quantizer.codebook" if "quantizer.codebook" in state else "quantizer.layers.0.codebook"
     size, dim = require(state, first, kind=kind).shape
     return {
-        "representation": representation_spec(features),
+        "representation": representation_spec(features, variant=variant),
         "codebook_size": size,
         "code_dim": dim,
         "width": width,
