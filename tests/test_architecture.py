@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "decoding": {*FOUNDATION, "diffusion"},
     "text": {"types", "build", "motion"},
     "tokenizers": MODEL,
-    "generators": {*MODEL, "text"},  # MotionGPT reads strings
+    "generators": {*MODEL, "text", "compatibility"},  # MotionGPT reads strings
     "artifacts": {*FOUNDATION, "motion"},
     "folders": {*FOUNDATION, "motion", "artifacts"},
 }

@@ -10,7 +10,7 @@ from torch import nn
 
 def check_pair(tokenizer: nn.Module, generator: nn.Module) -> None:
     """Raise one ValueError that names what of the two doesn't match: latents, codebook, codes, downsampling."""
-    who = f"{type(generator).__name__} and {type(tokenizer).__name__} don't fit"
+    who = f"{_name(generator)} and {_name(tokenizer)} don't fit"
     wants, makes = getattr(generator, "codebook_size", None), getattr(tokenizer, "codebook_size", None)
     if wants != makes:
         raise ValueError(
@@ -34,6 +34,21 @@ def check_pair(tokenizer: nn.Module, generator: nn.Module) -> None:
     _check_codebook(who, tokenizer, generator)
 
 
+STAGES_AGREE = ("codebook_size", "max_latents", "downsample")
+
+
+def check_stages(base: nn.Module, residual: nn.Module) -> None:
+    """Raise ValueError if a residual transformer cannot complete what a base generator makes."""
+    if base.quantizers != 1:
+        raise ValueError(f"the base makes {base.quantizers} codes per position; give one that makes 1")
+    for name in STAGES_AGREE:
+        if getattr(base, name) != getattr(residual, name):
+            raise ValueError(
+                f"{name} is {getattr(base, name)} in the base and {getattr(residual, name)} in the residual "
+                "transformer; train both on the same tokenizer"
+            )
+
+
 def check_representation(saved: dict[str, Any] | None, tokenizer: nn.Module) -> None:
     """Raise ValueError if a generator was trained on latents of another representation than the tokenizer's."""
     own = tokenizer.representation.identity()
@@ -49,13 +64,18 @@ def check_representation(saved: dict[str, Any] | None, tokenizer: nn.Module) -> 
 _FIX = "use the tokenizer it was made for, or the same numbers in tokenizer.model and generator.model"
 
 
+def _name(module: nn.Module) -> str:
+    """Name a part by its file too: BAD's and BAMM's generators are namesakes."""
+    return f"{type(module).__module__.removeprefix('kinema.')}.{type(module).__name__}"
+
+
 def _latents(codebook_size: int | None) -> str:
     return "continuous latents" if codebook_size is None else f"codes of a codebook of {codebook_size}"
 
 
 def _check_codebook(who: str, tokenizer: nn.Module, generator: nn.Module) -> None:
     """Compare a generator's copy of the codebook, once it has one, with the tokenizer's."""
-    kept = getattr(generator, "codebook", None)
+    kept = getattr(getattr(generator, "base", generator), "codebook", None)
     if kept is None:
         return
     if kept.shape != tokenizer.codebook.shape:

@@ -25,6 +25,9 @@ from kinema.requests import batches, check_length, frame_counts, paired, sample_
 from kinema.text.encoders import FrozenTextEncoder, build_text_encoder, check_texts
 from kinema.types import Latents, Motion, MotionBatch
 
+LINKED = "linked"
+"""Take the part that the run's upstream.json names."""
+
 
 class TextToMotion:
     """Generate and edit motion from text.
@@ -121,7 +124,9 @@ class TextToMotion:
         """
         texts = check_texts(list(texts))
         options = self._sampling(sampling)
-        seeds = sample_seeds(seed, len(texts))
+        # A transition draws its own numbers, not those of the part before it.
+        seeds = sample_seeds(seed, 2 * len(texts) - 1)
+        seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
         counts = self._lengths(frames, seconds, len(texts))
         with self._inference():
             text, drawn = self.text_encoder(texts).to(self.device), torch.tensor(seeds)
@@ -131,7 +136,7 @@ class TextToMotion:
             if len(texts) > 1:
                 known = bridges(parts, transition, self.max_frames // self.tokenizer.downsample)
                 first = self.text_encoder(texts[:-1]).to(self.device)
-                bridged = self.generator.sample(first, None, seeds=drawn[:-1], known=known, sampling=options)
+                bridged = self.generator.sample(first, None, seeds=between, known=known, sampling=options)
                 parts = join(parts, bridged, ~known.mask & known.latents.mask)
             (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]])
         return motion
@@ -245,12 +250,18 @@ class TextToMotion:
 
     @classmethod
     def from_run(
-        cls, path: str | Path, device: torch.device | str | None = None, *, length: str | Path | None = None
+        cls,
+        path: str | Path,
+        device: torch.device | str | None = None,
+        *,
+        length: str | Path | None = None,
+        residual: str | Path | None = LINKED,
     ) -> TextToMotion:
         """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
 
-        `length` is the run folder of a length estimator, if `upstream.json` names none. Raises FileNotFoundError or
-        ValueError that name the part that is missing or unfit.
+        `length` and `residual` are run folders of a length estimator and a residual transformer; without them those
+        that `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name
+        the part that is missing or unfit.
         """
         folder, device = Path(path), best_device(device)
         generator, meta = load_part(folder, device)
@@ -262,8 +273,10 @@ class TextToMotion:
                 raise ValueError(f"{folder / file} names no {key}; train or import this run again")
         tokenizer = load_part(folder / upstream["tokenizer"], device)[0]
         check_representation(meta.get("representation"), tokenizer)
-        if "residual" in upstream:
-            generator = _with_residual(generator, load_part(folder / upstream["residual"], device)[0])
+        if residual == LINKED:
+            residual = folder / upstream["residual"] if "residual" in upstream else None
+        if residual is not None:
+            generator = with_residual(generator, load_part(Path(residual), device)[0])
         where = length or (folder / upstream["length"] if "length" in upstream else None)
         encoder = build_text_encoder(text["encoder"], text.get("path"), device)
         if meta.get("text", encoder.identity) != encoder.identity:
@@ -287,7 +300,10 @@ class TextToMotion:
         parts = {name: module for name, module in parts.items() if module is not None}
         with new_folder(path) as staging:
             for name, module in parts.items():
-                meta = {"text": self.text_encoder.identity} if name == "" else {}
+                meta = {}
+                if module is self.generator:
+                    meta["text"] = self.text_encoder.identity
+                    meta["representation"] = self.tokenizer.representation.identity()
                 artifacts.save(module, _spec(module), staging / name / artifacts.WEIGHTS, **meta)
             write_json(staging / "upstream.json", {name: name for name in parts if name})
             write_json(staging / "text.json", self.meta["text"])
@@ -308,7 +324,7 @@ def best_device(device: torch.device | str | None = None) -> torch.device:
         raise ValueError(f"device {str(device)!r} cannot be used here ({reason}); choose {best_device()}") from None
 
 
-def _with_residual(base: nn.Module, residual: nn.Module) -> nn.Module:
+def with_residual(base: nn.Module, residual: nn.Module) -> nn.Module:
     """Let a residual transformer complete the codes of a base generator."""
     from kinema.generators.cascade import Cascade
 

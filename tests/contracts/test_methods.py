@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ import torch
 from kinema.experiments.config import CONF
 from kinema.experiments.stages import STAGES
 from kinema.generators import Generator
-from kinema.pipeline import TextToMotion
+from kinema.pipeline import TextToMotion, with_residual
 from kinema.types import Latents
 
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
@@ -30,7 +31,8 @@ def make(workshop):
         tokenizer = workshop.tokenizer(choice)
         stages = ["generator"] + (["residual"] if STAGES["residual"].present(workshop.cfg(choice)) else [])
         models = [workshop.make(stage, choice) for stage in stages]
-        latents = tokenizer.encode(workshop.clips())
+        with torch.no_grad():
+            latents = tokenizer.encode(workshop.clips())
         for model in models:
             if hasattr(model, "set_codebook"):
                 model.set_codebook(tokenizer.codebook)
@@ -49,9 +51,7 @@ def pipeline(make, workshop):
     def made(method: str) -> TextToMotion:
         tokenizer, generator, residual = make(method)
         if residual is not None:
-            from kinema.pipeline import _with_residual
-
-            generator = _with_residual(generator, residual)
+            generator = with_residual(generator, residual)
         return TextToMotion(tokenizer, generator.eval(), workshop.text, None, {"text": {"encoder": "hashed"}})
 
     return made
@@ -68,6 +68,10 @@ def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(make, work
     batch = workshop.clips(8)
     latents, text = tokenizer.encode(batch), workshop.text(batch.texts)
     latents = Latents(latents.lengths, latents.frames, latents.values, latents.codes)
+    model = deepcopy(model)
+    with torch.no_grad():  # gates that start at zero would hide what they gate
+        for parameter in model.parameters():
+            parameter.add_(0.02 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(2)))
     before = {n: p.detach().clone() for n, p in model.named_parameters() if p.requires_grad}
     optimizer = torch.optim.SGD([p for p in model.parameters() if p.requires_grad], lr=1e-3)
     model.train()
@@ -75,7 +79,7 @@ def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(make, work
     assert next(iter(losses)) == "loss"
     assert all(value.isfinite() for value in losses.values())
     losses["loss"].backward()
-    lacking = [n for n, p in model.named_parameters() if p.requires_grad and p.grad is None]
+    lacking = [n for n, p in model.named_parameters() if p.requires_grad and (p.grad is None or not p.grad.any())]
     assert not lacking
     optimizer.step()
     model.eval()

@@ -119,13 +119,10 @@ def test_codes_behind_a_mask_and_padding_do_not_leak():
     assert torch.equal(first, second)
 
 
-def test_padding_of_words_is_seen_with_words_all_only():
-    results = {
-        w: [make(words=w).loss(latents(), text(padding=p), draws=draw())["loss"] for p in (0, 3)]
-        for w in ("real", "all")
-    }
-    close(*results["real"])
-    assert (results["all"][0] - results["all"][1]).abs() > 1e-3
+def test_padding_of_words_is_hidden_and_refused_where_all_are_read():
+    close(*(make().loss(latents(), text(padding=p), draws=draw())["loss"] for p in (0, 3)))
+    with pytest.raises(ValueError, match="words='all' reads all positions"):
+        make(words="all").loss(latents(), text(padding=3), draws=draw())
 
 
 def test_time_token_tells_masks_and_length():

@@ -92,12 +92,12 @@ def test_a_token_sees_the_words_up_to_its_own_index(cache):
         assert (rows[0] - rows[1])[:, w + 1].abs().max() > 1e-4
 
 
-def test_padded_words_are_hidden_unless_all_are_asked_for():
+def test_padded_words_are_hidden_and_refused_where_all_are_read():
     ids = latents().codes[..., 0]
-    for words, hidden in (("real", True), ("all", False)):
-        model = make(2, words=words)
-        plain, padded = model(ids, text()), model(ids, text(padding=4))
-        assert torch.allclose(plain, padded, atol=1e-5) == hidden
+    model = make(2)
+    torch.testing.assert_close(model(ids, text()), model(ids, text(padding=4)), rtol=1e-4, atol=1e-5)
+    with pytest.raises(ValueError, match="words='all' reads all positions"):
+        make(2, words="all")(ids, text(padding=4))
 
 
 # Training

@@ -78,12 +78,16 @@ def test_a_mask_over_pairs():
     torch.testing.assert_close(model(IDS, text(), keys), model(IDS, text(), KEYS))
 
 
-def test_padded_words_are_not_read_unless_all_are_asked_for():
-    for words, equal in (("real", True), ("all", False)):
-        model, changed = make(words=words), text()
-        changed.tokens[1, 4:] = 50.0
-        results = [model(IDS, t, KEYS)[1] for t in (text(), changed)]
-        assert torch.equal(*results) is equal
+def test_padded_words_are_not_read_and_refused_where_all_are():
+    model, changed = make(), text()
+    changed.tokens[1, 4:] = 50.0
+    assert torch.equal(*(model(IDS, t, KEYS)[1] for t in (text(), changed)))
+    with pytest.raises(ValueError, match="words='all' reads all positions"):
+        make(words="all")(IDS, changed, KEYS)
+    full, changed = (
+        TextFeatures(t.texts, t.pooled, t.tokens, torch.ones_like(t.token_mask)) for t in (text(), changed)
+    )
+    assert not torch.equal(*(make(words="all")(IDS, t, KEYS)[1] for t in (full, changed)))
     wide, narrow = make()(IDS, text(), KEYS), make()(IDS[1:], TextFeatures([""], *cut(text())), KEYS[1:])
     torch.testing.assert_close(narrow[0], wide[1], rtol=1e-4, atol=1e-5)
 

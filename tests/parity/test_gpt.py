@@ -29,9 +29,9 @@ def golden(request, shared) -> tuple[dict[str, torch.Tensor], CausalTransformer]
 
 
 def text(tensors: dict[str, torch.Tensor], size: int | None = None) -> TextFeatures:
-    """Give the text features; words behind the first few are called padding, which words="all" overlooks."""
+    """Give the text features with all positions of the words."""
     pooled, words = tensors["in.text"][:size], tensors.get("in.words")
-    mask = None if words is None else (torch.arange(words.shape[1]) < 5).expand(len(words), -1)
+    mask = None if words is None else torch.ones(words.shape[:2], dtype=torch.bool)
     return TextFeatures([""] * len(pooled), pooled, words, mask)
 
 

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, run_identity
-from kinema.experiments.run import command, run_stage, stage_folder
+from kinema.experiments.run import check_parts, command, run_stage, stage_folder
 from kinema.experiments.runs import RunFolder, append_line, console, read_lines, upstream, versions
 from kinema.experiments.stages import STAGES
 
@@ -68,7 +68,8 @@ def describe(cfg: DictConfig) -> Row:
     own_run = cfg.source == "generation" or (cfg.source in NEEDS and NEEDS[cfg.source])
     who = f"-{Path(cfg.run).name if cfg.get('run') else cfg.method.name}" if own_run else ""
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
-    name = f"{what}{who}-{cfg.representation.kind}-s{cfg.seed}-{fingerprint(identity)}"
+    own = f"{who}-{cfg.representation.kind}" if who else ""
+    name = f"{what}{own}-s{cfg.seed}-{fingerprint(identity)}"
     root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
     return Row(RunFolder(root / "evaluation" / name), runs, replications)
 
@@ -114,6 +115,9 @@ def _own_stages(cfg: DictConfig, row: Row) -> list[str]:
     """Give the stages that the configuration describes; what is wrong is told before any of them trains."""
     store, own = open_corpus(cfg), []
     require_captions(store, cfg.scale.protocol.split)
+    if not cfg.get("run") and "generator" in row.runs:
+        for name in ("generator", "residual"):
+            check_parts(cfg, STAGES[name])
     corpus = manifest(store)["hash"]
     for name, path in row.runs.items():
         run = RunFolder(path)

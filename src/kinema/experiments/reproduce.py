@@ -77,15 +77,16 @@ def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
             work.append(("train", [f"stage={','.join(stages)}"]))
         elif methods:
             work.append(("train", [f"stage={','.join(stages)}", f"method={','.join(methods)}"]))
-    groups: dict[tuple[str, ...], tuple[list[str], list[str]]] = {}
+    groups: dict[tuple, tuple[list[str], list[str]]] = {}
     for row in ours:
-        extra = tuple(row.spec.get("overrides", []))
-        generation = row.spec["source"] == "generation"
-        sources, methods = groups.setdefault((str(generation), *extra), ([], []))
-        if row.spec["source"] not in sources:
-            sources.append(row.spec["source"])
-        if row.spec.get("method") and row.spec["method"] not in methods:
-            methods.append(row.spec["method"])
+        source, method = row.spec["source"], row.spec.get("method")
+        # Rows without a method are one multirun over sources, the others one over methods for each source.
+        key = (source if method else None, *row.spec.get("overrides", []))
+        sources, methods = groups.setdefault(key, ([], []))
+        if source not in sources:
+            sources.append(source)
+        if method and method not in methods:
+            methods.append(method)
     for (_, *extra), (sources, methods) in groups.items():
         choice = [f"method={','.join(methods)}"] if methods else []
         work.append(("evaluate", [f"source={','.join(sources)}", *choice, *extra]))

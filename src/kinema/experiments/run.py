@@ -56,7 +56,8 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     if stage.config(cfg).train.data == "clips":
         require_captions(store, "train", "val")
     upstream = {}
-    check_parts(cfg, stage)
+    for one in (stage, *(STAGES[other] for other in stage.companions)):
+        check_parts(cfg, one)
     for needed in (*stage.upstream, *stage.companions):
         if not STAGES[needed].present(cfg):
             continue
@@ -93,25 +94,33 @@ def given_tokenizer(cfg: DictConfig) -> RunFolder:
 
 def check_parts(cfg: DictConfig, stage: Stage) -> None:
     """Check that a stage's model fits the tokenizer it will read, before either is trained."""
-    if "tokenizer" not in stage.upstream:
+    if "tokenizer" not in stage.upstream or not stage.present(cfg):
         return
     import torch
+    from torch import nn
 
     from kinema.build import build
-    from kinema.compatibility import check_pair
+    from kinema.compatibility import check_pair, check_stages
     from kinema.experiments.instantiate import model_spec, read_model
 
-    with torch.device("meta"):
-        model = build(model_spec(cfg, stage))
-        tokenizer = None if cfg.tokenizer_run else build(model_spec(cfg, STAGES["tokenizer"]))
-    if tokenizer is None:
+    def build_meta(cfg: DictConfig, name: str) -> nn.Module:
+        with torch.device("meta"):
+            return build(model_spec(cfg, STAGES[name]))
+
+    model = build_meta(cfg, stage.name)
+    if not cfg.tokenizer_run:
+        tokenizer = build_meta(cfg, "tokenizer")
+    else:
         tokenizer, _ = read_model(given_tokenizer(cfg).path)
-        if tokenizer.representation.kind != cfg.representation.kind:
+        own = tokenizer.representation
+        if own.kind != cfg.representation.kind or own.skeleton_name != cfg.data.skeleton:
             raise ValueError(
-                f"tokenizer_run={cfg.tokenizer_run} was trained on {tokenizer.representation.kind} dims, this "
-                f"configuration asks for representation={cfg.representation.kind}; choose one"
+                f"tokenizer_run={cfg.tokenizer_run} was trained on {own.kind} dims of {own.skeleton_name}, this "
+                f"configuration asks for representation={cfg.representation.kind} of {cfg.data.skeleton}; choose one"
             )
     check_pair(tokenizer, model)
+    if stage.name == "residual":
+        check_stages(build_meta(cfg, "generator"), model)
 
 
 def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> RunFolder:

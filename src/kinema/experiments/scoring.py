@@ -133,8 +133,16 @@ class Scorer:
         if name == "generation":
             from kinema.pipeline import TextToMotion
 
-            pipeline = TextToMotion.from_run(runs["generator"], device=self.device)
+            # The parts that the row is named by, whatever the generator's run links to.
+            parts = {"residual": runs.get("residual"), "length": runs.get("length")}
+            pipeline = TextToMotion.from_run(runs["generator"], device=self.device, **parts)
             sampling = build(plain(cfg.generator.sampling))
+            own = pipeline.generator.sampling
+            if type(sampling) is not type(own):
+                raise ValueError(
+                    f"run={runs['generator']} samples by {type(own).__name__}, method={cfg.method.name} by "
+                    f"{type(sampling).__name__}; choose the method= of the run"
+                )
             if hasattr(pipeline.generator, "process"):  # a solver of another method's process is refused at once
                 pipeline.generator.process.resolve(sampling.solver, sampling.solver_steps)
             # The run's own text encoder, which need not be the configuration's (an imported run).

@@ -124,7 +124,8 @@ def make_module(
         # Runs on one tokenizer and corpus share the cache: it belongs to the tokenizer's run.
         # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
         with upstream["tokenizer"].lock():
-            cache = LatentCache.ensure(upstream["tokenizer"].path / "latents", tokenizer, clips, device)
+            where = upstream["tokenizer"].path / f"latents-{store.hash[:12]}"
+            cache = LatentCache.ensure(where, tokenizer, clips, device)
         latents = cache
         prepare(model, tokenizer, cache)
     return GeneratorModule(model, recipe, cfg.seed, latents, text)

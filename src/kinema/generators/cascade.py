@@ -8,10 +8,9 @@ import torch
 from jaxtyping import Int
 from torch import Tensor, nn
 
+from kinema.compatibility import check_stages
 from kinema.generators.residual import ResidualSampling, ResidualTransformer
 from kinema.types import Known, Latents, Losses, TextFeatures
-
-AGREE = ("codebook_size", "max_latents", "downsample")
 
 
 class Cascade(nn.Module):
@@ -22,14 +21,7 @@ class Cascade(nn.Module):
 
     def __init__(self, base: nn.Module, residual: ResidualTransformer) -> None:
         super().__init__()
-        if base.quantizers != 1:
-            raise ValueError(f"the base makes {base.quantizers} codes per position; give one that makes 1")
-        for name in AGREE:
-            if getattr(base, name) != getattr(residual, name):
-                raise ValueError(
-                    f"{name} is {getattr(base, name)} in the base and {getattr(residual, name)} in the residual "
-                    "transformer; train both on the same tokenizer"
-                )
+        check_stages(base, residual)
         self.base = base
         self.residual = residual
         self.codebook_size = base.codebook_size

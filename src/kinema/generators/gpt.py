@@ -15,13 +15,13 @@ from kinema.generators.checks import check_codes, token_request
 from kinema.generators.gpt_sampling import GptSampling
 from kinema.generators.gpt_training import GptDraws, corrupt, per_sample, targets
 from kinema.generators.reduction import mean_over_ranks
+from kinema.generators.words import check_words, visible_words
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.transformer import TransformerBlock, initialize, run
 from kinema.types import Known, Latents, Losses, TextFeatures
 
-WORDS = ("real", "all")
 FALLBACK = 1
 """The one code of a motion whose first token is END, as published (T2M-GPT, Sampling)."""
 
@@ -61,8 +61,6 @@ class CausalTransformer(nn.Module):
         sampling: GptSampling | None = None,
     ) -> None:
         super().__init__()
-        if words not in WORDS:
-            raise ValueError(f"words {words!r} is unknown; choose one of {', '.join(WORDS)}")
         if pkeep != -1 and not 0 <= pkeep <= 1:
             raise ValueError(f"pkeep is {pkeep}; give a share in [0, 1], or -1 for a random one per batch")
         if cross_layers and token_dim is None:
@@ -70,7 +68,7 @@ class CausalTransformer(nn.Module):
         self.codebook_size = codebook_size
         self.end, self.pad = codebook_size, codebook_size + 1
         self.pkeep = pkeep
-        self.words = words
+        self.words = check_words(words)
         self.max_latents = max_latents
         self.downsample = downsample
         self.sampling = sampling or GptSampling()
@@ -173,13 +171,8 @@ class CausalTransformer(nn.Module):
         """Project the words, for models that read them, and say which may be seen."""
         if self.word_projection is None:
             return None
-        if text.tokens is None:
-            raise ValueError(
-                "this generator attends to words, but the text features hold the pooled vector alone; encode the text "
-                "with token features (reads_tokens: true), or build the generator with cross_layers=0"
-            )
-        real = text.token_mask
-        if real is None or self.words == "all":
+        real = visible_words(text, self.words)
+        if real is None:
             real = torch.ones(text.tokens.shape[:2], dtype=torch.bool, device=text.tokens.device)
         return self.word_projection(text.tokens), real
 

@@ -7,11 +7,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.generators.words import check_words, visible_words
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock, initialize, run
 from kinema.types import Losses, TextFeatures
-
-WORDS = ("real", "all")
 
 
 class TokenTransformer(nn.Module):
@@ -42,9 +41,7 @@ class TokenTransformer(nn.Module):
         words: str = "real",
     ) -> None:
         super().__init__()
-        if words not in WORDS:
-            raise ValueError(f"words {words!r} is unknown; choose one of {', '.join(WORDS)}")
-        self.words = words
+        self.words = check_words(words)
         self.special = nn.Embedding(specials, code_dim)
         self.input_projection = nn.Linear(code_dim, width)
         self.text_projection = nn.Linear(text_dim, width)
@@ -95,12 +92,8 @@ class TokenTransformer(nn.Module):
         return self.input_projection(F.embedding(ids, torch.cat((self.codebook, self.special.weight))))
 
     def _attend_to_words(self, x: Float[Tensor, "b n w"], text: TextFeatures) -> Float[Tensor, "b n w"]:
-        if text.tokens is None:
-            raise ValueError(
-                "this generator attends to words, but the text features hold the pooled vector alone; encode the text "
-                "with token features (reads_tokens: true), or build the generator with cross_layers=0"
-            )
-        words, real = self.word_projection(text.tokens), text.token_mask if self.words == "real" else None
+        real = visible_words(text, self.words)
+        words = self.word_projection(text.tokens)
         for block in self.cross_blocks:
             x = block(x, real, words)
         return x

@@ -42,7 +42,8 @@ class FiniteScalarQuantizer(nn.Module):
             ) from error
         self.codebook_size, self.code_dim = math.prod(levels), code_dim
         self.decay, self.threshold = decay, threshold
-        self.fsq = FSQ(levels, dim=code_dim)
+        with torch.device("cpu"):  # it reads its own numbers, which a model without memory has not
+            self.fsq = FSQ(levels, dim=code_dim)
         self.register_buffer("counts", torch.ones(self.codebook_size))
 
     @property
