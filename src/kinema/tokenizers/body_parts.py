@@ -25,6 +25,8 @@ class BodyPartEncoder(nn.Module):
     velocity) and the foot contacts. One learned token per chain of the skeleton attends to the chain's nodes; the
     conv encoder reads the tokens side by side. Essential features have no rotations, velocities and contacts: their
     nodes are the root's four columns and the joints' three, without a node for contacts (not published).
+    `root_scale` multiplies the root's and the contacts' columns (published: 1): the T2M family's statistics magnify
+    them 25 times, and behind layer norms a small model sees little but the sign of such a number.
     """
 
     mask: Bool[Tensor, "k k"]
@@ -46,10 +48,12 @@ class BodyPartEncoder(nn.Module):
         layers: int = 2,
         heads: int = 4,
         dropout: float = 0.2,
+        root_scale: float = 1.0,
     ) -> None:
         super().__init__()
         if layers < 1:
             raise ValueError(f"layers={layers}; part tokens need at least 1 layer of attention to read their nodes")
+        self.root_scale = root_scale
         read = Representation(kind, skeleton)
         self.skeleton, self.groups, self.input_dim = read.skeleton, read.groups, read.width
         redundant = "contacts" in self.groups
@@ -88,13 +92,14 @@ class BodyPartEncoder(nn.Module):
         """Embed the root, the other joints and, on redundant features, the contacts of each frame."""
         if x.shape[-1] != self.input_dim:
             raise ValueError(f"features have {x.shape[-1]} columns, this encoder reads {self.input_dim}")
-        root, joints = [x[..., : self.groups["root_height"].stop]], [self._per_joint(x, "joints", 3)]
+        root = [self.root_scale * x[..., : self.groups["root_height"].stop]]
+        joints = [self._per_joint(x, "joints", 3)]
         if self.contact is None:
             return torch.cat([self.root(root[0])[..., None, :], self.joint(joints[0])], dim=-2)
         velocities = self._per_joint(x, "velocities", 3)
         root.append(velocities[..., 0, :])
         joints += [self._per_joint(x, "rotations", 6), velocities[..., 1:, :]]
-        contacts = self.contact(x[..., self.groups["contacts"]])
+        contacts = self.contact(self.root_scale * x[..., self.groups["contacts"]])
         embedded = self.root(torch.cat(root, -1))[..., None, :], self.joint(torch.cat(joints, -1))
         return torch.cat([*embedded, contacts[..., None, :]], dim=-2)
 
