@@ -11,12 +11,11 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.build import build
-from kinema.compatibility import check_pair
+from kinema.compatibility import check_pair, check_stages
 from kinema.experiments.config import CONF, compose, plain, validate
 from kinema.experiments.instantiate import model_spec
 from kinema.experiments.stages import STAGES
 from kinema.experiments.tables import load_table
-from kinema.generators.cascade import Cascade
 from kinema.text.encoders import ENCODERS
 
 MODELS = ("tokenizer", "generator", "residual", "length")
@@ -99,7 +98,7 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
     for name in {"generator", "residual"} & models.keys():
         check_pair(models["tokenizer"], models[name])
     if "residual" in models:
-        Cascade(base=models["generator"], residual=models["residual"])
+        check_stages(models["generator"], models["residual"])
     assert type(build(plain(cfg.generator.sampling))) is type(models["generator"].sampling)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from torch import nn
 
 from kinema import artifacts, interop
-from kinema.compatibility import check_pair
+from kinema.compatibility import check_pair, check_stages
 from kinema.folders import load_part, new_folder, write_json
 from kinema.interop import Kind, find_kind
 from kinema.text.encoders import ENCODERS
@@ -58,9 +58,7 @@ def import_run(
 def check_parts(parts: Mapping[str, nn.Module]) -> None:
     """Raise one ValueError that names what doesn't match: codes, downsampling, the codebook, the text's width."""
     if {"generator", "residual"} <= parts.keys():
-        from kinema.generators.cascade import Cascade
-
-        Cascade(base=parts["generator"], residual=parts["residual"])
+        check_stages(parts["generator"], parts["residual"])
     for name in ("generator", "residual"):
         if {"tokenizer", name} <= parts.keys():
             check_pair(parts["tokenizer"], parts[name])
