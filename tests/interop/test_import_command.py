@@ -147,6 +147,7 @@ RESIDUAL = {"_target_": "kinema.generators.residual.ResidualTransformer", **POST
 LENGTH = {"_target_": "kinema.generators.length.LengthEstimator"}
 RUNS = {
     "rvq": RVQ,
+    "vq": {name: value for name, value in RVQ.items() if name != "quantizer"},
     "length": LENGTH | {"text_dim": 7},
     "length9": LENGTH | {"text_dim": 9},
     "residual": RESIDUAL | {"quantizers": 3},
@@ -155,6 +156,7 @@ RUNS = {
 }
 IMPORT = ["import", "momask", "momask.tar", "--set", "heads=2", "--out", "runs/new"]
 LINK = ["--tokenizer", "runs/rvq"]
+OWN = ["--tokenizer", "runs/vq"]
 
 
 @pytest.fixture
@@ -164,7 +166,8 @@ def parts(tmp_path, monkeypatch):
     torch.manual_seed(0)
     for name, spec in RUNS.items():
         artifacts.save(build(spec), spec, tmp_path / "runs" / name / artifacts.WEIGHTS)
-    other = MaskedMotionModel(**SIZES, token_dim=7, cross_layers=1, base_layers=1, head_layers=1)
+    own, other = (MaskedMotionModel(**SIZES, token_dim=7, cross_layers=1, base_layers=1, head_layers=1) for _ in "ab")
+    own.set_codebook(artifacts.load(f"runs/vq/{artifacts.WEIGHTS}")[0].codebook)
     other.set_codebook(torch.randn(11, 5))
     files = {
         "momask.tar": {"t2m_transformer": momask.export(MaskedTransformer(**POST))},
@@ -172,6 +175,7 @@ def parts(tmp_path, monkeypatch):
         "bamm.tar": {"t2m_transformer": bamm.export(BidirectionalAutoregressive(**POST))},
         "residual.tar": {"res_transformer": momask_residual.export(build(RUNS["residual"]))},
         "mmm.pth": {"trans": mmm.export(other)},
+        "own.pth": {"trans": mmm.export(own)},
     }
     for name, content in files.items():
         torch.save(content, name)
@@ -215,6 +219,7 @@ def test_parts_that_do_not_fit_are_named_and_nothing_is_written(parts, capsys, a
         ("momask", "bamm.tar", LINK, "codes of a codebook of 12, the tokenizer"),
         ("bamm", "momask.tar", LINK, "codes of a codebook of 10, the tokenizer"),
         ("mmm", "mmm.pth", LINK, "the generator has another codebook"),
+        ("mmm", "own.pth", [*OWN, "--set", "words=all"], "words=all reads all 77 positions, --text clip_b32 gives"),
         ("mmm", "mmm.pth", ["--residual", "runs/residual"], "mmm takes no --residual; it takes --tokenizer and --len"),
         ("momask-residual", "residual.tar", ["--length", "runs/length"], "takes no --length; it takes --tokenizer"),
         ("momask-rvq", "momask.tar", LINK, "momask-rvq takes no --tokenizer; it takes no other run"),

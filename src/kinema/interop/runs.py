@@ -13,6 +13,7 @@ from kinema import artifacts, interop
 from kinema.compatibility import check_pair, check_stages
 from kinema.folders import load_part, new_folder, write_json
 from kinema.interop import Kind, find_kind
+from kinema.text.clip import WHOLE
 from kinema.text.encoders import ENCODERS
 
 CALLS = {"tokenizer": "decode", "length": "predict", "residual": "complete"}
@@ -45,6 +46,8 @@ def import_run(
     parts = {part: _load_part(part, run) for part, run in links.items()}
     module = interop.load(kind, source, **(options or {}))
     check_parts({known.part: module, **parts})
+    if module.spec.get("words") == "all" and text not in WHOLE:
+        raise ValueError(f"words=all reads all 77 positions, --text {text} gives the text's own; use {WHOLE[0]}")
     out = Path(out)
     with new_folder(out) as folder:
         artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, kind=kind, source=str(source))
