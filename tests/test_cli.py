@@ -97,6 +97,9 @@ def test_generate_edit_and_look(run, capsys):
     assert walk.features.shape == (40, 67)
     assert cli.main([*make, "--frames", "40", "--out", "walk.html"]) == 0
     assert "a person walks" in Path("walk.html").read_text()
+    make.insert(2, "someone sits")
+    assert cli.main([*make, "--chain", "--frames", "40", "--out", "long.npz"]) == 0
+    assert len(export.load_npz("long.npz").features) == 40 + 2 * 4 + 40
     change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), "--seed", "4", *FAST]
     for which in (["--regenerate", "0.5s:1s"], ["--keep", ":10,20:"]):
         assert cli.main([*change, *which, "--out", "edited.npz"]) == 0

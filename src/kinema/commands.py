@@ -28,10 +28,13 @@ from kinema.types import Motion
 
 
 def generate(options: argparse.Namespace) -> None:
-    """Generate one motion per text."""
-    files = _files(options.out, len(options.text))
+    """Generate one motion per text, or one long motion of all."""
+    files = _files(options.out, 1 if options.chain else len(options.text))
     model = _model(options)
     lengths = {"frames": options.frames, "seconds": options.seconds}
+    if options.chain:
+        _write([model.chain(options.text, **lengths, seed=options.seed, **options.set)], files)
+        return
     _write(model.generate(options.text, **lengths, seed=options.seed, **options.set), files)
 
 
