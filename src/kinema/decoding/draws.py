@@ -69,15 +69,15 @@ def uniform(seeds: Int[Tensor, " b"], step: int, size: int) -> Float[Tensor, "b 
 
 def categorical(logits: Float[Tensor, "*b k"], uniform: Float[Tensor, "*b"]) -> Int[Tensor, "*b"]:
     """Draw a class of softmax(logits) by the inverse of its distribution function; -inf is never drawn."""
-    rows = logits.flatten(0, -2).split(max(1, BLOCK // logits.shape[-1]))
-    numbers = uniform.flatten().split(len(rows[0]))
-    return torch.cat([_invert(*part) for part in zip(rows, numbers, strict=True)]).unflatten(0, uniform.shape)
+    # Samples stay whole: flattening a slice of a network's output would copy it.
+    size = max(1, BLOCK // logits[0].numel())
+    return torch.cat([_invert(*part) for part in zip(logits.split(size), uniform.split(size), strict=True)])
 
 
-def _invert(logits: Float[Tensor, "m k"], uniform: Float[Tensor, " m"]) -> Int[Tensor, " m"]:
-    total = logits.float().softmax(-1).cumsum(-1)
-    target = uniform[:, None] * total[:, -1:]
-    return torch.searchsorted(total, target, right=True)[:, 0].clamp(max=logits.shape[-1] - 1)
+def _invert(logits: Float[Tensor, "*b k"], uniform: Float[Tensor, "*b"]) -> Int[Tensor, "*b"]:
+    total = logits.float().softmax(-1).cumsum_(-1)
+    target = uniform[..., None] * total[..., -1:]
+    return torch.searchsorted(total, target, right=True)[..., 0].clamp(max=logits.shape[-1] - 1)
 
 
 def _shift(x: Int[Tensor, "*b"], bits: int) -> Int[Tensor, "*b"]:
