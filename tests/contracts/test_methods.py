@@ -13,7 +13,6 @@ from kinema.experiments.config import CONF
 from kinema.experiments.stages import STAGES
 from kinema.generators import Generator
 from kinema.pipeline import TextToMotion, with_residual
-from kinema.types import Latents
 
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 TEXTS = ["a person walks forward", "someone waves with the left hand", "a man jumps twice"]
@@ -67,7 +66,6 @@ def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(make, work
     assert stage == "residual" or isinstance(model, Generator)
     batch = workshop.clips(8)
     latents, text = tokenizer.encode(batch), workshop.text(batch.texts)
-    latents = Latents(latents.lengths, latents.frames, latents.values, latents.codes)
     model = deepcopy(model)
     with torch.no_grad():  # gates that start at zero would hide what they gate
         for parameter in model.parameters():

@@ -61,12 +61,12 @@ class AutoEncoder(nn.Module):
         output = self._decode(self._encode(target, motion.lengths), counts)
         real = frame_mask(counts * self.downsample, output.shape[1])
         error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
-        reconstruction = _mean_of_real(error, real)
-        joints = _mean_of_real(error[..., self.representation.groups["joints"]], real)
+        reconstruction = mean_of_real(error, real)
+        joints = mean_of_real(error[..., self.representation.groups["joints"]], real)
         loss = reconstruction + self.joint_weight * joints
         losses = {"reconstruction": reconstruction, "joints": joints}
         if self.root_weight:
-            losses["root"] = _mean_of_real(error[..., :ROOT], real)
+            losses["root"] = mean_of_real(error[..., :ROOT], real)
             loss = loss + self.root_weight * losses["root"]
         return {"loss": loss, **losses}
 
@@ -100,5 +100,6 @@ class AutoEncoder(nn.Module):
         return lengths if self.mask_padding and bool((lengths < size).any()) else None
 
 
-def _mean_of_real(error: Float[Tensor, "b t d"], real: Bool[Tensor, "b t"]) -> Float[Tensor, ""]:
+def mean_of_real(error: Float[Tensor, "b t d"], real: Bool[Tensor, "b t"]) -> Float[Tensor, ""]:
+    """Average over the columns of real frames."""
     return (error * real[..., None]).sum() / (real.sum() * error.shape[-1]).clamp(min=1)

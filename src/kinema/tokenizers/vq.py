@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
-from kinema.tokenizers.autoencoder import ROOT
+from kinema.tokenizers.autoencoder import ROOT, mean_of_real
 from kinema.tokenizers.codebook import EMACodebook, Quantizer
 from kinema.types import Latents, Losses, MotionBatch, frame_mask
 
@@ -88,12 +88,12 @@ class VectorQuantized(nn.Module):
         output = self._decode(quantized.values, counts)
         real = frame_mask(counts * self.downsample, output.shape[1])
         error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
-        reconstruction = _mean_of_real(error, real)
-        auxiliary = _mean_of_real(error[..., self.representation.groups[self.auxiliary]], real)
+        reconstruction = mean_of_real(error, real)
+        auxiliary = mean_of_real(error[..., self.representation.groups[self.auxiliary]], real)
         losses = {"reconstruction": reconstruction, self.auxiliary: auxiliary, "commit": quantized.commit}
         loss = reconstruction + self.joint_weight * auxiliary + self.commit_weight * quantized.commit
         if self.root_weight:
-            losses["root"] = _mean_of_real(error[..., :ROOT], real)
+            losses["root"] = mean_of_real(error[..., :ROOT], real)
             loss = loss + self.root_weight * losses["root"]
         return {"loss": loss, **losses, "perplexity": quantized.perplexity, "dead_codes": quantized.dead_codes}
 
@@ -148,7 +148,3 @@ def check(
     for name, size in (("codebook_size", codebook_size), ("code_dim", code_dim)):
         if getattr(quantizer, name) != size:
             raise ValueError(f"{name}={size}, but the quantizer's is {getattr(quantizer, name)}; give both the same")
-
-
-def _mean_of_real(error: Float[Tensor, "b t d"], real: Bool[Tensor, "b t"]) -> Float[Tensor, ""]:
-    return (error * real[..., None]).sum() / (real.sum() * error.shape[-1]).clamp(min=1)
