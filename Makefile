@@ -39,7 +39,7 @@ reproduce-%: $(STAMP)
 
 # Figure 2 of the BAD paper, drawn from the masks in use.
 reproduce-bad-figure2: $(STAMP)
-	$(PY) -m kinema.experiments.bad_masks --out reports/bad-figure2
+	$(PY) -m kinema.experiments.figures.bad_masks --out reports/bad-figure2
 
 reproduce-all: $(patsubst conf/table/%.yaml,reproduce-%,$(wildcard conf/table/*.yaml))
 

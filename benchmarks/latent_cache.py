@@ -24,7 +24,7 @@ from kinema.data.prepare import prepare_store
 from kinema.data.sampler import StepSampler
 from kinema.data.store import PackedStore
 from kinema.diffusion.flow import Flow
-from kinema.generators.mar import MaskedAutoregressive
+from kinema.generators.mar.model import MARDM
 from kinema.motion.representation import Representation
 from kinema.text.hashed import HashedTextEncoder
 from kinema.tokenizers.autoencoder import AutoEncoder
@@ -46,7 +46,7 @@ def make_trainer(source, latent_dim: int, mlp_width: int, batch: int) -> Generat
     """Make a generator's module that reads its latents from `source`."""
     torch.manual_seed(0)
     text = HashedTextEncoder(64)
-    model = MaskedAutoregressive(
+    model = MARDM(
         latent_dim=latent_dim,
         text_dim=64,
         process=Flow(),

@@ -24,7 +24,7 @@ from torch.nn import functional as F
 
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
-from kinema.generators.mar import MarSampling, MaskedAutoregressive
+from kinema.generators.mar.model import MARDM, MarSampling
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.types import TextFeatures
 
@@ -53,7 +53,7 @@ def synchronize(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def measure_sampling(model: MaskedAutoregressive, batch: int, resample_all: bool, device: torch.device) -> float:
+def measure_sampling(model: MARDM, batch: int, resample_all: bool, device: torch.device) -> float:
     """Print rows per sample and seconds per sample of 196 frames; give the seconds."""
     rows: list[int] = []
     hook = model.mlp.final.register_forward_hook(lambda module, inputs, output: rows.append(len(output)))
@@ -110,7 +110,7 @@ def main() -> None:
     device = torch.device(arguments.device)
     torch.manual_seed(0)
     process = DDPM() if arguments.process == "ddpm" else Flow()
-    model = MaskedAutoregressive(text_dim=512, process=process, **SIZES[arguments.size]).to(device).eval()
+    model = MARDM(text_dim=512, process=process, **SIZES[arguments.size]).to(device).eval()
     parameters = sum(p.numel() for p in model.parameters()) / 1e6
     print(
         f"{arguments.size}: {parameters:.1f} M parameters, batch {arguments.batch}, {torch.get_num_threads()} threads"

@@ -32,25 +32,25 @@ LAYERS = {"cross_layers": 1, "base_layers": 1, "head_layers": 1, "token_dim": TE
 
 def make_mmm(codes: int) -> nn.Module:
     """Make MMM, which draws its codes."""
-    from kinema.generators.mmm import MaskedMotionModel
+    from kinema.generators.mmm import MMM
 
-    return MaskedMotionModel(codebook_size=codes, code_dim=32, **SIZES, **LAYERS)
+    return MMM(codebook_size=codes, code_dim=32, **SIZES, **LAYERS)
 
 
 def make_bad(codes: int) -> nn.Module:
     """Make BAD, its confidence-based sampler drawing codes."""
-    from kinema.generators.bad import BidirectionalAutoregressive
-    from kinema.generators.bad_sampling import BadSampling
+    from kinema.generators.bad.model import BAD
+    from kinema.generators.bad.sampling import BadSampling
 
     sampling = BadSampling(sampler="cbs")
-    return BidirectionalAutoregressive(codebook_size=codes, code_dim=32, sampling=sampling, **SIZES, **LAYERS)
+    return BAD(codebook_size=codes, code_dim=32, sampling=sampling, **SIZES, **LAYERS)
 
 
 def make_momask(codes: int) -> nn.Module:
     """Make MoMask's first transformer."""
-    from kinema.generators.momask import MaskedTransformer
+    from kinema.generators.momask.model import MoMask
 
-    return MaskedTransformer(codebook_size=codes, code_dim=128, layers=3, **SIZES)
+    return MoMask(codebook_size=codes, code_dim=128, layers=3, **SIZES)
 
 
 MAKERS = {"mmm": make_mmm, "bad": make_bad, "momask": make_momask}

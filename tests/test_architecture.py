@@ -17,38 +17,33 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "nn", "masking", "build"}
+FOUNDATION = {"types", "atomic", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
-    # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> pipeline -> evaluation -> training ->
-    # experiments`; `motion -> data`; motion is open to all; text to pipeline and what comes after; interop stands
-    # beside pipeline, and so do the files of a run folder (artifacts, folders, editing, requests).
+    # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
+    # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so is `atomic`,
+    # which knows files and nothing else; text to generators that read strings and all behind; interop stands beside
+    # pipeline; report reads results only.
     "types": set(),
-    "build": set(),
+    "atomic": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
-    "motion": {"types", "build"},
-    "data": {"types", "motion"},
+    "motion": {"types", "atomic"},
+    "data": {"types", "atomic", "motion"},
+    "text": {"types", "atomic"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
-    "text": {"types", "build", "motion"},
     "tokenizers": MODEL,
-    "generators": {*MODEL, "text", "compatibility"},  # MotionGPT reads strings
-    "artifacts": {*FOUNDATION, "motion"},
-    "folders": {*FOUNDATION, "motion", "artifacts"},
+    "generators": {*MODEL, "text"},
+    "runs": {"atomic"},
+    "report": {"types", "atomic", "motion"},
 }
-MAY_IMPORT["editing"] = {*MODEL, "tokenizers", "generators"}
-MAY_IMPORT["requests"] = {*MAY_IMPORT["editing"], "editing", "text"}
-MAY_IMPORT |= {"chaining": {"types"}, "compatibility": set(), "kept": {"types"}}
-BESIDE = {*MAY_IMPORT["requests"], "requests", "artifacts", "folders", "chaining", "compatibility", "kept"}
-MAY_IMPORT["pipeline"] = BESIDE
-MAY_IMPORT["interop"] = {*BESIDE, "data", "evaluation"}
-MAY_IMPORT["evaluation"] = {*BESIDE, "pipeline", "data"}
+MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}
+MAY_IMPORT["evaluation"] = {*MAY_IMPORT["pipeline"], "pipeline", "data"}
+MAY_IMPORT["interop"] = {*MAY_IMPORT["evaluation"], "evaluation"}
 MAY_IMPORT["training"] = {*MAY_IMPORT["evaluation"], "evaluation"}
-MAY_IMPORT["experiments"] = {*MAY_IMPORT["training"], "training", "interop"}
-COMMAND_LINE = ("cli", "commands")
-"""The command line stands on top of everything but the experiments."""
-MAY_IMPORT |= {name: {*MAY_IMPORT["training"], "interop", *COMMAND_LINE} - {"training"} for name in COMMAND_LINE}
+MAY_IMPORT["experiments"] = {*MAY_IMPORT["training"], "training", "report"}
+MAY_IMPORT["cli"] = {*MAY_IMPORT["experiments"], "experiments", "interop"}
 
 
 def imports(file: Path) -> set[str]:

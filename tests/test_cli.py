@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from kinema import __version__, cli, interop
-from kinema.motion import export
+from kinema.motion.formats.arrays import load_npy, load_npz
 from kinema.motion.skeleton import HUMANML3D
 
 
@@ -44,8 +44,8 @@ def published_autoencoder() -> dict[str, torch.Tensor]:
 
 def published_generator() -> dict[str, torch.Tensor]:
     """Give a tiny MARDM under its published names."""
-    from kinema.build import build
     from kinema.interop.mardm import export as published
+    from kinema.runs.build import build
 
     torch.manual_seed(0)
     sizes = {
@@ -59,7 +59,7 @@ def published_generator() -> dict[str, torch.Tensor]:
     }
     mlp = {"mlp_width": 16, "mlp_depth": 2}
     flow = {"_target_": "kinema.diffusion.flow.Flow"}
-    return published(build({"_target_": "kinema.generators.mar.MaskedAutoregressive", "process": flow, **sizes, **mlp}))
+    return published(build({"_target_": "kinema.generators.mar.MARDM", "process": flow, **sizes, **mlp}))
 
 
 @pytest.fixture
@@ -93,17 +93,17 @@ def test_generate_edit_and_look(run, capsys):
     make = ["generate", "a person walks", "--run", str(run), "--seed", "3", *FAST]
     assert cli.main([*make, "--seconds", "2", "--out", "walk.npz"]) == 0
     assert "wrote walk.npz (40 frames, seed 3)" in capsys.readouterr().out
-    walk = export.load_npz("walk.npz")
+    walk = load_npz("walk.npz")
     assert walk.features.shape == (40, 67)
     assert cli.main([*make, "--frames", "40", "--out", "walk.html"]) == 0
     assert "a person walks" in Path("walk.html").read_text()
     make.insert(2, "someone sits")
     assert cli.main([*make, "--chain", "--frames", "40", "--out", "long.npz"]) == 0
-    assert len(export.load_npz("long.npz").features) == 40 + 2 * 4 + 40
+    assert len(load_npz("long.npz").features) == 40 + 2 * 4 + 40
     change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), "--seed", "4", *FAST]
     for which in (["--regenerate", "0.5s:1s"], ["--keep", ":10,20:"]):
         assert cli.main([*change, *which, "--out", "edited.npz"]) == 0
-        edited = export.load_npz("edited.npz")
+        edited = load_npz("edited.npz")
         assert edited.text == "someone sits"
         assert np.array_equal(edited.features[:10], walk.features[:10])
         assert np.array_equal(edited.features[20:], walk.features[20:])
@@ -120,7 +120,7 @@ def test_several_texts_give_several_files_or_one_page(run):
     make = ["generate", "a person walks", "a man bows", "--run", str(run), "--frames", "8", *FAST]
     assert cli.main([*make, "--out", "all.html"]) == 0
     assert cli.main([*make, "--out", "clip.npy"]) == 0
-    assert export.load_npy("clip-2.npy").shape == (8, 22, 3)
+    assert load_npy("clip-2.npy").shape == (8, 22, 3)
 
 
 def test_joints_can_be_edited(run):
@@ -130,7 +130,7 @@ def test_joints_can_be_edited(run):
     np.save("captured.npy", joints.astype(np.float32))
     change = ["edit", "--motion", "captured.npy", "--text", "someone sits", "--run", str(run), *FAST]
     assert cli.main([*change, "--regenerate", "suffix", "--out", "edited.npz"]) == 0
-    edited = export.load_npz("edited.npz")
+    edited = load_npz("edited.npz")
     assert edited.joints.shape == (60, HUMANML3D.num_joints, 3)
 
 

@@ -13,11 +13,12 @@ import pytest
 import torch
 from hydra.errors import HydraException
 
-from kinema import artifacts, cli
-from kinema.build import build
+from kinema import cli
 from kinema.experiments.config import CONF, compose
-from kinema.folders import write_json
 from kinema.motion.statistics import Statistics
+from kinema.runs import weights as artifacts
+from kinema.runs.build import build
+from kinema.runs.parts import write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
@@ -87,7 +88,7 @@ def check_make(words):
 def check_python(words):
     if words[0] == "-m":
         module, table, *overrides = words[1:]
-        if module in ("kinema.experiments.bad_masks", "kinema.experiments.code_usage"):
+        if module in ("kinema.experiments.figures.bad_masks", "kinema.experiments.figures.code_usage"):
             assert importlib.util.find_spec(module)
             return
         assert module == "kinema.experiments.reproduce"
@@ -146,7 +147,7 @@ TOKENIZER = {
     "depth": 1,
 }
 GENERATOR = {
-    "_target_": "kinema.generators.mar.MaskedAutoregressive",
+    "_target_": "kinema.generators.mar.MARDM",
     "latent_dim": 4,
     "text_dim": 64,
     "process": {"_target_": "kinema.diffusion.flow.Flow"},

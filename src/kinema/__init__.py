@@ -12,13 +12,13 @@ __version__ = "0.1.0"
 __all__ = ["TextToMotion", "__version__"]
 
 if TYPE_CHECKING:
-    from kinema.pipeline import TextToMotion
+    from kinema.pipeline.text_to_motion import TextToMotion
 
 
 def __getattr__(name: str) -> Any:
     # Imported on first use: `import kinema` (and every --help) must not pay for torch.
     if name == "TextToMotion":
-        from kinema.pipeline import TextToMotion
+        from kinema.pipeline.text_to_motion import TextToMotion
 
         return TextToMotion
     raise AttributeError(f"module 'kinema' has no attribute {name!r}")

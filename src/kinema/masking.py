@@ -13,7 +13,7 @@ from kinema.types import frame_mask
 
 
 def cosine_ratio(time: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """Give the share of positions masked at time 0..1: cos(pi t / 2)."""
+    """Return the share of positions masked at time 0..1: cos(pi t / 2)."""
     return torch.cos(time * math.pi * 0.5)
 
 

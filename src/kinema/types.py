@@ -51,12 +51,12 @@ class MotionBatch(_Movable):
 
     @property
     def mask(self) -> Bool[Tensor, "b t"]:
-        """Give True at real frames."""
+        """True at real frames."""
         return frame_mask(self.lengths, self.features.shape[1])
 
     @property
     def texts(self) -> list[str]:
-        """Give the caption strings."""
+        """The caption strings."""
         return [c.text for c in self.captions]
 
 
@@ -74,7 +74,7 @@ class Latents(_Movable):
 
     @property
     def mask(self) -> Bool[Tensor, "b n"]:
-        """Give True at real positions."""
+        """True at real positions."""
         return frame_mask(self.lengths, (self.values if self.values is not None else self.codes).shape[1])
 
 

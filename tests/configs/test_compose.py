@@ -10,12 +10,13 @@ import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from kinema.build import build
-from kinema.compatibility import check_pair, check_stages
 from kinema.experiments.config import CONF, compose, plain, validate
 from kinema.experiments.instantiate import model_spec
 from kinema.experiments.stages import STAGES
 from kinema.experiments.tables import load_table
+from kinema.generators.momask.cascade import check_stages
+from kinema.pipeline.compatibility import check_pair
+from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS
 
 MODELS = ("tokenizer", "generator", "residual", "length")

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from kinema.build import build
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
@@ -16,6 +15,7 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import model_spec
 from kinema.experiments.stages import STAGES
 from kinema.motion.representation import Representation
+from kinema.runs.build import build
 from kinema.text.encoders import build_text_encoder
 from kinema.types import MotionBatch
 

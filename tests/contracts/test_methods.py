@@ -12,7 +12,7 @@ import torch
 from kinema.experiments.config import CONF
 from kinema.experiments.stages import STAGES
 from kinema.generators import Generator
-from kinema.pipeline import TextToMotion, with_residual
+from kinema.pipeline.text_to_motion import TextToMotion, with_residual
 
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 TEXTS = ["a person walks forward", "someone waves with the left hand", "a man jumps twice"]

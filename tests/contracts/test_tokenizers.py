@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from kinema import artifacts
 from kinema.experiments.config import CONF
+from kinema.runs import weights as artifacts
 from kinema.tokenizers import MotionTokenizer
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))

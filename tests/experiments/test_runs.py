@@ -11,10 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from kinema.experiments import runs, training
+from kinema.experiments import training
 from kinema.experiments.config import compose
 from kinema.experiments.run import run_stage
-from kinema.experiments.runs import RunFolder, append_line, console, read_lines, write_json
+from kinema.runs import folder as runs
+from kinema.runs.folder import RunFolder, append_line, console, read_lines, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 

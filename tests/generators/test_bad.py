@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from kinema.decoding.draws import SeededDraws
-from kinema.generators.bad import BidirectionalAutoregressive
-from kinema.generators.bad_sampling import BadSampling
-from kinema.generators.bad_training import BadDraws
+from kinema.generators.bad.model import BAD
+from kinema.generators.bad.sampling import BadSampling
+from kinema.generators.bad.training import BadDraws
 from kinema.masking import hybrid_mask, shrinking_counts
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
@@ -29,12 +29,12 @@ SAMPLERS = {
 }
 
 
-def make(**options) -> BidirectionalAutoregressive:
+def make(**options) -> BAD:
     """Make a tiny model whose weights are large enough that everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "feedforward": 24, "heads": 2, "cross_layers": 1, "base_layers": 1, "head_layers": 1}
     sizes |= {"dropout": 0.3, "max_latents": 12}
-    model = BidirectionalAutoregressive(codebook_size=CODES, code_dim=6, text_dim=5, token_dim=7, **(sizes | options))
+    model = BAD(codebook_size=CODES, code_dim=6, text_dim=5, token_dim=7, **(sizes | options))
     for parameter in model.parameters():
         if parameter.ndim > 1:
             torch.nn.init.normal_(parameter, std=0.4)
@@ -412,7 +412,5 @@ def test_published_size_has_the_published_number_of_parameters():
     """Compare with STATE_DICTS: 238.9 M and 236.2 M, less the table of positions that nothing reads."""
     for time_token, expected, rows in ((True, 238_891_648, 52), (False, 236_265_088, 51)):
         with torch.device("meta"):
-            model = BidirectionalAutoregressive(
-                codebook_size=8192, code_dim=32, text_dim=512, token_dim=512, time_token=time_token
-            )
+            model = BAD(codebook_size=8192, code_dim=32, text_dim=512, token_dim=512, time_token=time_token)
         assert sum(p.numel() for p in model.parameters()) == expected - rows * 1024

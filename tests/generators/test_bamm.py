@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from kinema.decoding.draws import Greedy, SeededDraws
-from kinema.generators import reduction
-from kinema.generators.bamm import BammSampling, BidirectionalAutoregressive, condition_mask
-from kinema.generators.bamm_sampling import CachedRows
-from kinema.generators.bamm_training import BammDraws
-from kinema.generators.cascade import Cascade
-from kinema.generators.residual import ResidualTransformer
+from kinema.generators.bamm.model import BAMM, BammSampling, condition_mask
+from kinema.generators.bamm.sampling import CachedRows
+from kinema.generators.bamm.training import BammDraws
+from kinema.generators.momask.cascade import Cascade
+from kinema.generators.momask.residual import ResidualTransformer
+from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 CODES, SLOTS = 11, 13
@@ -24,11 +24,11 @@ SEEDS = torch.tensor([11, 12, 13])
 SAMPLING = BammSampling(guidance=2.5, second_guidance=2.0)
 
 
-def make(norm: str = "post", **options) -> BidirectionalAutoregressive:
+def make(norm: str = "post", **options) -> BAMM:
     """Make a tiny model whose weights are large enough that everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "feedforward": 24, "layers": 2, "heads": 2, "dropout": 0.3}
-    model = BidirectionalAutoregressive(
+    model = BAMM(
         codebook_size=CODES, code_dim=6, text_dim=5, norm=norm, max_latents=12, sampling=SAMPLING, **(sizes | options)
     )
     with torch.no_grad():
@@ -190,7 +190,7 @@ def test_texts_are_dropped_and_codes_corrupted_in_training_only():
 
 def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
     model, batch = make(dropout=0.0).train(), latents(torch.tensor([48, 20, 36, 8]))
-    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: False)
+    monkeypatch.setattr(ranks.distributed, "is_initialized", lambda: False)
 
     def losses(rows: list[int], shard: tuple[int, int]) -> torch.Tensor:
         part = Latents(batch.lengths[rows], batch.frames[rows], codes=batch.codes[rows])
@@ -205,7 +205,7 @@ def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
 
 
 def whole_sequence(
-    model: BidirectionalAutoregressive,
+    model: BAMM,
     ids: torch.Tensor,
     condition: torch.Tensor,
     lengths: torch.Tensor,

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from kinema import artifacts
-from kinema.build import build
 from kinema.generators import Generator
-from kinema.generators.cascade import Cascade
+from kinema.generators.momask.cascade import Cascade
+from kinema.runs import weights as artifacts
+from kinema.runs.build import build
 from kinema.types import Known, Latents, TextFeatures
 
 CODES = 30
@@ -18,25 +18,25 @@ FRAMES = torch.tensor([48, 20, 36])
 SEEDS = torch.tensor([11, 12, 13])
 SIZES = {"codebook_size": CODES, "code_dim": 6, "text_dim": 5, "width": 16, "feedforward": 24, "layers": 1, "heads": 2}
 SPEC = {
-    "_target_": "kinema.generators.cascade.Cascade",
+    "_target_": "kinema.generators.momask.Cascade",
     "base": {
-        "_target_": "kinema.generators.momask.MaskedTransformer",
+        "_target_": "kinema.generators.momask.MoMask",
         **SIZES,
         "max_latents": 12,
         "sampling": {"_target_": "kinema.generators.momask.MoMaskSampling", "steps": 4, "top_k": 0.5},
     },
     "residual": {
-        "_target_": "kinema.generators.residual.ResidualTransformer",
+        "_target_": "kinema.generators.momask.ResidualTransformer",
         **SIZES,
         "max_latents": 12,
         "quantizers": 4,
     },
 }
 BAMM = {
-    "_target_": "kinema.generators.bamm.BidirectionalAutoregressive",
+    "_target_": "kinema.generators.bamm.BAMM",
     **SIZES,
     "max_latents": 12,
-    "sampling": {"_target_": "kinema.generators.bamm_sampling.BammSampling"},
+    "sampling": {"_target_": "kinema.generators.bamm.BammSampling"},
 }
 
 

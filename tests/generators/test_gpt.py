@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from kinema.decoding.draws import SeededDraws
-from kinema.generators import reduction
-from kinema.generators.gpt import CausalTransformer
-from kinema.generators.gpt_sampling import GptSampling
-from kinema.generators.gpt_training import GptDraws, corrupt, targets
+from kinema.generators.gpt.model import T2MGPT
+from kinema.generators.gpt.sampling import GptSampling
+from kinema.generators.gpt.training import GptDraws, corrupt, targets
+from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 CODES = 10
@@ -20,13 +20,11 @@ SEEDS = torch.tensor([11, 12, 13])
 CROSS = pytest.mark.parametrize("cross_layers", [0, 2], ids=["t2m_gpt", "attt2m"])
 
 
-def make(cross_layers: int = 0, **options) -> CausalTransformer:
+def make(cross_layers: int = 0, **options) -> T2MGPT:
     """Make a tiny model with weights large enough that everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "feedforward": 24, "layers": 2, "heads": 2, "dropout": 0.3, "max_latents": 12}
-    model = CausalTransformer(
-        codebook_size=CODES, text_dim=5, token_dim=6, cross_layers=cross_layers, **(sizes | options)
-    )
+    model = T2MGPT(codebook_size=CODES, text_dim=5, token_dim=6, cross_layers=cross_layers, **(sizes | options))
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.25)
     return model.eval()
@@ -186,8 +184,8 @@ def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
         return model.loss(part, text(rows), generator=torch.Generator().manual_seed(5), shard=shard)["loss"]
 
     whole = loss([0, 1, 2, 3], (0, 1))
-    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: True)
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: rows.mul_(2))
+    monkeypatch.setattr(ranks.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: rows.mul_(2))
     shards = torch.stack([loss([2 * rank, 2 * rank + 1], (rank, 2)) for rank in (0, 1)])
     assert not torch.allclose(shards[0], shards[1])
     close(shards.mean(), whole)
@@ -254,7 +252,7 @@ def test_given_frames_are_met_exactly_even_where_end_is_likeliest():
     assert (result.codes < CODES).all()
 
 
-def end_first(model: CausalTransformer) -> None:
+def end_first(model: T2MGPT) -> None:
     """Make END by far the likeliest class at every position."""
     torch.nn.init.zeros_(model.norm.weight)
     torch.nn.init.ones_(model.norm.bias)
@@ -395,7 +393,7 @@ def test_a_known_code_acts_to_its_right_only():
 )
 def test_wrong_options_are_named(options, message):
     with pytest.raises(ValueError, match=message):
-        CausalTransformer(**{"codebook_size": 9, "text_dim": 5, "width": 16, "heads": 2, "layers": 1} | options)
+        T2MGPT(**{"codebook_size": 9, "text_dim": 5, "width": 16, "heads": 2, "layers": 1} | options)
 
 
 def test_errors_name_what_does_not_fit():

@@ -10,9 +10,9 @@ import torch
 from kinema.decoding.unmasking import SampleDraws
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
-from kinema.generators import reduction
-from kinema.generators.mar import MarSampling, MaskedAutoregressive
-from kinema.generators.mar_training import MarDraws, corrupt, training_mask
+from kinema.generators.mar.model import MARDM, MarSampling
+from kinema.generators.mar.training import MarDraws, corrupt, training_mask
+from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 PROCESSES = {"ddpm": lambda: DDPM(steps=8), "flow": Flow}
@@ -21,11 +21,11 @@ SEEDS = torch.tensor([11, 12, 13])
 SAMPLING = MarSampling(steps=6, guidance=2.5)
 
 
-def make(process: str = "flow", **options) -> MaskedAutoregressive:
+def make(process: str = "flow", **options) -> MARDM:
     """Make a tiny model whose zero-initialised layers are filled, so that everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "feedforward": 24, "layers": 2, "heads": 2, "mlp_width": 16, "mlp_depth": 2, "dropout": 0.3}
-    model = MaskedAutoregressive(
+    model = MARDM(
         latent_dim=6, text_dim=5, process=PROCESSES[process](), max_latents=12, sampling=SAMPLING, **(sizes | options)
     )
     for parameter in model.parameters():
@@ -45,7 +45,7 @@ def latents(frames: torch.Tensor = FRAMES) -> Latents:
     return Latents(lengths=lengths, frames=frames, values=values[: len(frames), : int(lengths.max())])
 
 
-def draws(model: MaskedAutoregressive, samples: int = 3, seed: int = 0) -> MarDraws:
+def draws(model: MARDM, samples: int = 3, seed: int = 0) -> MarDraws:
     return MarDraws.draw(
         (samples, 12, 6),
         model.process,
@@ -140,14 +140,14 @@ def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
 
     whole = loss([0, 1, 2, 3], (0, 1))
     counts = []
-    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: True)
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: counts.append(rows.item()))
+    monkeypatch.setattr(ranks.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: counts.append(rows.item()))
     for rank in (0, 1):
         loss([2 * rank, 2 * rank + 1], (rank, 2))
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: rows.fill_(sum(counts)))
-    ranks = [loss([2 * rank, 2 * rank + 1], (rank, 2)) for rank in (0, 1)]
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: rows.fill_(sum(counts)))
+    both = [loss([2 * rank, 2 * rank + 1], (rank, 2)) for rank in (0, 1)]
     assert counts[0] != counts[1]
-    close(torch.stack(ranks).mean(), whole)
+    close(torch.stack(both).mean(), whole)
 
 
 def test_condition_is_dropped_in_training_only():
@@ -377,21 +377,19 @@ def test_bad_input_is_named(call, message):
 
 def test_a_solver_of_another_process_is_refused_when_the_model_is_built():
     with pytest.raises(ValueError, match="'ddim' is unknown to Flow"):
-        MaskedAutoregressive(latent_dim=6, text_dim=5, process=Flow(), sampling=MarSampling(solver="ddim"))
+        MARDM(latent_dim=6, text_dim=5, process=Flow(), sampling=MarSampling(solver="ddim"))
 
 
 def test_published_size_has_the_published_number_of_parameters():
     with torch.device("meta"):
-        model = MaskedAutoregressive(latent_dim=512, text_dim=512, process=DDPM())
+        model = MARDM(latent_dim=512, text_dim=512, process=DDPM())
     assert sum(p.numel() for p in model.parameters()) == 19_940_864 + 270_875_648
 
 
 def test_initialisation():
     """Compare with MARDM §4: N(0, 0.02) Linears, zero biases, modulations and mask latent."""
     torch.manual_seed(0)
-    model = MaskedAutoregressive(
-        latent_dim=64, text_dim=64, process=Flow(), width=128, heads=4, mlp_width=8, mlp_depth=1
-    )
+    model = MARDM(latent_dim=64, text_dim=64, process=Flow(), width=128, heads=4, mlp_width=8, mlp_depth=1)
     assert not model.mask_latent.any()
     assert not model.blocks[0].modulation[1].weight.any()
     for layer in (

@@ -9,7 +9,7 @@ import torch
 
 from kinema.decoding.draws import Greedy, SeededDraws
 from kinema.generators import mmm
-from kinema.generators.mmm import MaskedMotionModel, MmmDraws, MmmSampling
+from kinema.generators.mmm import MMM, MmmDraws, MmmSampling
 from kinema.types import Known, Latents, TextFeatures
 
 CODES = 17
@@ -18,12 +18,12 @@ SEEDS = torch.tensor([11, 12, 13])
 GREEDY = MmmSampling(temperature=0.0)
 
 
-def make(**options) -> MaskedMotionModel:
+def make(**options) -> MMM:
     """Make a tiny model in which everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "heads": 2, "feedforward": 24, "cross_layers": 1, "base_layers": 1, "head_layers": 1}
     options = sizes | {"dropout": 0.3, "max_latents": 12} | options
-    model = MaskedMotionModel(codebook_size=CODES, code_dim=4, text_dim=5, token_dim=6, **options)
+    model = MMM(codebook_size=CODES, code_dim=4, text_dim=5, token_dim=6, **options)
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.4)
     model.set_codebook(torch.randn(CODES, 4))
@@ -55,7 +55,7 @@ def draws(samples: int = 3, seed: int = 0, pkeep: float = 0.5) -> MmmDraws:
     )
 
 
-def watch(model: MaskedMotionModel) -> list[torch.Tensor]:
+def watch(model: MMM) -> list[torch.Tensor]:
     """Record the ids that the transformer reads."""
     seen: list[torch.Tensor] = []
     model.transformer.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0]))

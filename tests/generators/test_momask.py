@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from kinema.decoding.draws import SeededDraws
-from kinema.generators import reduction
-from kinema.generators.momask import MaskedTransformer, MoMaskDraws, MoMaskSampling, corrupt, likely_choice, select
+from kinema.generators.momask.model import MoMask, MoMaskDraws, MoMaskSampling, corrupt, likely_choice, select
 from kinema.masking import cosine_counts
+from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 CODES = 30
@@ -20,13 +20,11 @@ SEEDS = torch.tensor([11, 12, 13])
 SAMPLING = MoMaskSampling(steps=6, guidance=2.5, top_k=0.5)
 
 
-def make(**options) -> MaskedTransformer:
+def make(**options) -> MoMask:
     """Make a tiny model whose weights are large enough that everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "feedforward": 24, "layers": 2, "heads": 2, "dropout": 0.3}
-    model = MaskedTransformer(
-        codebook_size=CODES, code_dim=6, text_dim=5, max_latents=12, sampling=SAMPLING, **(sizes | options)
-    )
+    model = MoMask(codebook_size=CODES, code_dim=6, text_dim=5, max_latents=12, sampling=SAMPLING, **(sizes | options))
     for parameter in model.parameters():
         if parameter.ndim > 1:
             torch.nn.init.normal_(parameter, std=0.4)
@@ -123,13 +121,13 @@ def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
 
     whole = losses([0, 1, 2, 3], (0, 1))
     counts = []
-    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: True)
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: counts.append(rows.item()))
+    monkeypatch.setattr(ranks.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: counts.append(rows.item()))
     for rank in (0, 1):
         losses([2 * rank, 2 * rank + 1], (rank, 2))
     total = counts[0] + counts[2]
     assert counts[0] != counts[2]
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: rows.fill_(total))
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: rows.fill_(total))
     close(torch.stack([losses([2 * rank, 2 * rank + 1], (rank, 2)) for rank in (0, 1)]).mean(dim=0), whole)
 
 
@@ -192,7 +190,7 @@ def test_result_counts_whole_latents_and_has_zero_padding():
     assert 0 <= result.codes.min() <= result.codes.max() < CODES
 
 
-def inputs_of(model: MaskedTransformer, **request) -> torch.Tensor:
+def inputs_of(model: MoMask, **request) -> torch.Tensor:
     """Collect the ids that the network is given at every step."""
     seen = []
     model.register_forward_pre_hook(lambda module, inputs: seen.append(inputs[0]))
@@ -309,5 +307,5 @@ def test_bad_input_is_named(call, message):
 
 def test_published_size_has_the_published_number_of_parameters():
     with torch.device("meta"):
-        model = MaskedTransformer(codebook_size=512, code_dim=512, text_dim=512)
+        model = MoMask(codebook_size=512, code_dim=512, text_dim=512)
     assert sum(p.numel() for p in model.parameters()) == 12_048_768

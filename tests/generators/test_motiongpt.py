@@ -12,9 +12,9 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from kinema import artifacts
-from kinema.generators import reduction
-from kinema.generators.motiongpt import MotionGPT, MotionGPTSampling
+from kinema.generators.motiongpt.model import MotionGPT, MotionGPTSampling
+from kinema.nn import ranks
+from kinema.runs import weights as artifacts
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 transformers = pytest.importorskip("transformers", reason="transformers is not installed: pip install 'kinema[text]'")
@@ -158,10 +158,10 @@ def test_ranks_average_to_the_loss_of_one_process(make, monkeypatch):
 
     whole = loss([0, 1, 2], (0, 1))
     counts = [float(batch.lengths[rows].sum() + 2 * len(rows)) for rows in ([0, 1], [2])]
-    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: True)
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: rows.fill_(sum(counts)))
-    ranks = torch.stack([loss([0, 1], (0, 2)), loss([2], (1, 2))])
-    torch.testing.assert_close(ranks.mean(), whole)
+    monkeypatch.setattr(ranks.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: rows.fill_(sum(counts)))
+    both = torch.stack([loss([0, 1], (0, 2)), loss([2], (1, 2))])
+    torch.testing.assert_close(both.mean(), whole)
 
 
 # Pretrained weights

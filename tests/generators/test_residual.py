@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from kinema.generators import reduction
-from kinema.generators.momask import MoMaskSampling
-from kinema.generators.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
+from kinema.generators.momask.model import MoMaskSampling
+from kinema.generators.momask.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
+from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures
 
 CODES, LAYERS = 30, 4
@@ -131,8 +131,8 @@ def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
         return torch.stack((found["loss"], found["accuracy"]))
 
     whole = losses([0, 1, 2, 3], (0, 1))
-    monkeypatch.setattr(reduction.distributed, "is_initialized", lambda: True)
-    monkeypatch.setattr(reduction.distributed, "all_reduce", lambda rows: rows.fill_(total))
+    monkeypatch.setattr(ranks.distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(ranks.distributed, "all_reduce", lambda rows: rows.fill_(total))
     close(torch.stack([losses([2 * rank, 2 * rank + 1], (rank, 2)) for rank in (0, 1)]).mean(dim=0), whole)
 
 

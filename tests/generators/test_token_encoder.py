@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kinema.generators.token_encoder import EMBEDDING_STD, TokenEncoder
+from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from kinema.generators.token_transformer import TokenTransformer, code_losses, with_end
+from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
 from kinema.types import TextFeatures
 
 CODES, DIM, TEXT, WORD, WIDTH = 11, 3, 5, 7, 16

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import torch
 
-from kinema import artifacts
 from kinema.data.synthetic import synthetic_clips
 from kinema.data.synthetic.folders import write_joints_folder
 from kinema.experiments.config import compose
 from kinema.experiments.run import run_stage
-from kinema.experiments.runs import RunFolder
 from kinema.pipeline import TextToMotion
+from kinema.runs import weights as artifacts
+from kinema.runs.folder import RunFolder
 from kinema.training.checkpoint import AtomicCheckpointIO
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from kinema.compatibility import check_pair
 from kinema.experiments.config import compose
 from kinema.experiments.run import run_stage
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.compatibility import check_pair
 from kinema.types import Known, Latents
 
 
@@ -82,11 +82,11 @@ def test_ids_out_of_range_and_foreign_codebooks(workshop_parts):
 
 @pytest.fixture
 def workshop_parts(overrides):
-    from kinema.build import build
     from kinema.data.store import PackedStore
     from kinema.experiments.corpus import open_corpus
     from kinema.experiments.instantiate import model_spec
     from kinema.experiments.stages import STAGES
+    from kinema.runs.build import build
 
     cfg = compose_micro(overrides, "method=mmm")
     torch.manual_seed(0)

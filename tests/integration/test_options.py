@@ -10,11 +10,11 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from kinema import artifacts
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
-from kinema.experiments.runs import read_lines
+from kinema.runs import weights as artifacts
+from kinema.runs.folder import read_lines
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 BRIEF = [

@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from kinema import interop
-from kinema.build import build
-from kinema.generators.bad import BidirectionalAutoregressive
+from kinema.generators.bad.model import BAD
 from kinema.interop import bad
+from kinema.runs.build import build
 from kinema.types import TextFeatures
 
 
-def make(time_token: bool = True) -> BidirectionalAutoregressive:
+def make(time_token: bool = True) -> BAD:
     torch.manual_seed(3)
-    model = BidirectionalAutoregressive(
+    model = BAD(
         codebook_size=20,
         code_dim=5,
         text_dim=7,

@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from kinema import interop
-from kinema.build import build
-from kinema.generators.bamm import BidirectionalAutoregressive
+from kinema.generators.bamm.model import BAMM
 from kinema.interop import bamm
+from kinema.runs.build import build
 
 
 @pytest.mark.parametrize(("norm", "wrapper", "layers"), [("post", "t2m_transformer", 2), ("pre", "trans", 3)])
 def test_round_trip(norm, wrapper, layers):
     torch.manual_seed(0)
-    model = BidirectionalAutoregressive(
+    model = BAMM(
         codebook_size=9, code_dim=6, text_dim=5, width=12, feedforward=20, layers=layers, heads=3, norm=norm
     ).eval()
     for parameter in model.parameters():
@@ -34,7 +34,7 @@ def test_round_trip(norm, wrapper, layers):
 def test_the_published_sizes(norm, entries):
     """Count as STATE_DICTS does: our parameters, and the row of MASK."""
     with torch.device("meta"):
-        model = BidirectionalAutoregressive(codebook_size=512, code_dim=512, text_dim=512, norm=norm)
+        model = BAMM(codebook_size=512, code_dim=512, text_dim=512, norm=norm)
         state = bamm.export(model)
     assert len(state) == entries
     shapes = {k: tuple(state[k].shape) for k in ("token_emb.weight", "output_process.poseFinal.weight")}

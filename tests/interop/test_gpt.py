@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from kinema import interop
-from kinema.build import build
-from kinema.generators.gpt import CausalTransformer
+from kinema.generators.gpt.model import T2MGPT
 from kinema.interop import gpt
+from kinema.runs.build import build
 from kinema.types import TextFeatures
 
 
-def make(seed: int, layers: int, cross_layers: int) -> CausalTransformer:
+def make(seed: int, layers: int, cross_layers: int) -> T2MGPT:
     torch.manual_seed(seed)
-    model = CausalTransformer(
+    model = T2MGPT(
         codebook_size=9,
         text_dim=7,
         token_dim=6 if cross_layers else None,
@@ -49,7 +49,7 @@ def test_round_trip(kind, seed, layers, cross_layers):
 def test_the_published_sizes(cross_layers, entries, millions):
     """Count as STATE_DICTS does: our parameters, and two tables of 51 positions that are no parameters here."""
     with torch.device("meta"):
-        model = CausalTransformer(codebook_size=512, text_dim=512, token_dim=512, cross_layers=cross_layers)
+        model = T2MGPT(codebook_size=512, text_dim=512, token_dim=512, cross_layers=cross_layers)
         state = gpt.export(model)
     assert len(state) == entries
     assert state["trans_base.blocks.8.attn.mask"].shape == (1, 1, 51, 51)

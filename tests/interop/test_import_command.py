@@ -10,15 +10,16 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from kinema import artifacts, cli, interop
-from kinema.build import build
-from kinema.folders import read_json
-from kinema.generators.bamm import BidirectionalAutoregressive
-from kinema.generators.mmm import MaskedMotionModel
-from kinema.generators.momask import MaskedTransformer
+from kinema import cli, interop
+from kinema.generators.bamm.model import BAMM
+from kinema.generators.mmm import MMM
+from kinema.generators.momask.model import MoMask
 from kinema.interop import bamm, mmm, momask, momask_residual
-from kinema.motion import export
+from kinema.motion.formats.arrays import load_npz
 from kinema.pipeline import TextToMotion
+from kinema.runs import weights as artifacts
+from kinema.runs.build import build
+from kinema.runs.parts import read_json
 
 GOLDEN = {
     # name: kind, golden file, prefix of its state dict, wrapper of the published file
@@ -83,15 +84,15 @@ def test_published_files_become_a_run_that_generates(golden_import, name):
     assert read_json(Path(run) / "upstream.json") == {part: f"../{of}" for part, of in CHAINS[name].items()}
     make = ["generate", "a man walks", "a man sits", "--run", run, "--seed", "3", "--device", "cpu"]
     assert cli.main([*make, "--frames", "41", "--out", "walk.npz"]) == 0
-    walk, sit = (export.load_npz(f"walk-{i}.npz") for i in (1, 2))
+    walk, sit = (load_npz(f"walk-{i}.npz") for i in (1, 2))
     assert walk.features.shape == sit.features.shape == (41, 263)
     assert np.isfinite(walk.joints).all()
     assert not np.array_equal(walk.features, sit.features)
     assert cli.main([*make, "--out", "free.npz"]) == 0  # by END, or by the length estimator
-    assert 4 <= len(export.load_npz("free-1.npz").features) <= 196
+    assert 4 <= len(load_npz("free-1.npz").features) <= 196
     change = ["edit", "--motion", "walk-1.npz", "--text", "a man waves", "--run", run, "--seed", "4"]
     assert cli.main([*change, "--keep", ":20", "--out", "edited.npz"]) == 0
-    edited = export.load_npz("edited.npz").features
+    edited = load_npz("edited.npz").features
     assert np.array_equal(edited[:20], walk.features[:20])
     assert not np.array_equal(edited[20:], walk.features[20:])
     # Links are relative: the runs may be moved together.
@@ -126,7 +127,7 @@ def test_shipped_deviations_are_not_divided_again(golden_import, name):
 SIZES = {"codebook_size": 11, "code_dim": 5, "text_dim": 7, "width": 12, "feedforward": 20, "heads": 2}
 POST = SIZES | {"layers": 1}
 RVQ = {
-    "_target_": "kinema.tokenizers.vq.VectorQuantized",
+    "_target_": "kinema.tokenizers.vq.VQVAE",
     "representation": {
         "_target_": "kinema.motion.representation.Representation",
         "kind": "redundant",
@@ -143,7 +144,7 @@ RVQ = {
     "width": 8,
     "depth": 1,
 }
-RESIDUAL = {"_target_": "kinema.generators.residual.ResidualTransformer", **POST}
+RESIDUAL = {"_target_": "kinema.generators.momask.ResidualTransformer", **POST}
 LENGTH = {"_target_": "kinema.generators.length.LengthEstimator"}
 RUNS = {
     "rvq": RVQ,
@@ -166,13 +167,13 @@ def parts(tmp_path, monkeypatch):
     torch.manual_seed(0)
     for name, spec in RUNS.items():
         artifacts.save(build(spec), spec, tmp_path / "runs" / name / artifacts.WEIGHTS)
-    own, other = (MaskedMotionModel(**SIZES, token_dim=7, cross_layers=1, base_layers=1, head_layers=1) for _ in "ab")
+    own, other = (MMM(**SIZES, token_dim=7, cross_layers=1, base_layers=1, head_layers=1) for _ in "ab")
     own.set_codebook(artifacts.load(f"runs/vq/{artifacts.WEIGHTS}")[0].codebook)
     other.set_codebook(torch.randn(11, 5))
     files = {
-        "momask.tar": {"t2m_transformer": momask.export(MaskedTransformer(**POST))},
-        "small.tar": {"t2m_transformer": momask.export(MaskedTransformer(**POST | {"codebook_size": 9}))},
-        "bamm.tar": {"t2m_transformer": bamm.export(BidirectionalAutoregressive(**POST))},
+        "momask.tar": {"t2m_transformer": momask.export(MoMask(**POST))},
+        "small.tar": {"t2m_transformer": momask.export(MoMask(**POST | {"codebook_size": 9}))},
+        "bamm.tar": {"t2m_transformer": bamm.export(BAMM(**POST))},
         "residual.tar": {"res_transformer": momask_residual.export(build(RUNS["residual"]))},
         "mmm.pth": {"trans": mmm.export(other)},
         "own.pth": {"trans": mmm.export(own)},

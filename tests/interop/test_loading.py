@@ -10,9 +10,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from kinema import artifacts, interop
+from kinema import interop
 from kinema.interop.checkpoint import read_checkpoint, unwrap
 from kinema.motion.statistics import Statistics
+from kinema.runs import weights as artifacts
 from kinema.types import MotionBatch
 
 

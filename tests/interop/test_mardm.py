@@ -6,18 +6,18 @@ import pytest
 import torch
 
 from kinema import interop
-from kinema.build import build
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.generators.length import LengthEstimator
-from kinema.generators.mar import MaskedAutoregressive
+from kinema.generators.mar.model import MARDM
 from kinema.interop import mardm
+from kinema.runs.build import build
 from kinema.types import TextFeatures
 
 
-def make(process) -> MaskedAutoregressive:
+def make(process) -> MARDM:
     torch.manual_seed(3)
-    model = MaskedAutoregressive(
+    model = MARDM(
         latent_dim=5, text_dim=7, process=process, width=12, feedforward=20, layers=3, heads=2, mlp_width=9, mlp_depth=4
     )
     for parameter in model.parameters():

@@ -6,16 +6,16 @@ import pytest
 import torch
 
 from kinema import interop
-from kinema.build import build
-from kinema.generators.mmm import MaskedMotionModel
+from kinema.generators.mmm import MMM
 from kinema.interop import mmm
+from kinema.runs.build import build
 from kinema.types import TextFeatures
 
 
-def make(**options) -> MaskedMotionModel:
+def make(**options) -> MMM:
     torch.manual_seed(0)
     sizes = {"width": 12, "heads": 3, "feedforward": 20, "cross_layers": 2, "base_layers": 1, "head_layers": 3}
-    model = MaskedMotionModel(codebook_size=9, code_dim=4, text_dim=5, token_dim=6, **(sizes | options)).eval()
+    model = MMM(codebook_size=9, code_dim=4, text_dim=5, token_dim=6, **(sizes | options)).eval()
     for parameter in model.parameters():
         torch.nn.init.normal_(parameter, std=0.3)
     model.set_codebook(torch.randn(9, 4))
@@ -42,7 +42,7 @@ def test_round_trip(cross):
 def test_published_sizes():
     """Compare with STATE_DICTS: 373 entries, 67 of them the tokenizer's, of which we write the codebook."""
     with torch.device("meta"):
-        exported = mmm.export(MaskedMotionModel(codebook_size=8192, code_dim=32, text_dim=512, token_dim=512))
+        exported = mmm.export(MMM(codebook_size=8192, code_dim=32, text_dim=512, token_dim=512))
     assert len(exported) == 373 - 66
     assert exported["trans_base.learn_tok_emb.weight"].shape == (3, 32)
     assert exported["trans_base.pos_embed.embed"].shape == (51, 1, 1024)

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from kinema import interop
-from kinema.build import build
-from kinema.generators.momask import MaskedTransformer
-from kinema.generators.residual import ResidualTransformer
+from kinema.generators.momask.model import MoMask
+from kinema.generators.momask.residual import ResidualTransformer
 from kinema.interop import momask, momask_residual
+from kinema.runs.build import build
 from kinema.types import Latents, TextFeatures
 
 SIZES = {"codebook_size": 11, "code_dim": 5, "text_dim": 7, "width": 12, "feedforward": 20, "layers": 3, "heads": 2}
@@ -29,7 +29,7 @@ def make_residual(share_weights: bool = True, quantizers: int = 4) -> ResidualTr
 
 
 def test_round_trip():
-    model = filled(MaskedTransformer(**SIZES))
+    model = filled(MoMask(**SIZES))
     copy = interop.load("momask", {"t2m_transformer": momask.export(model), "ep": 3}, heads=2, sampling={"steps": 4})
     options = {"seeds": SEEDS, "sampling": copy.sampling}
     assert torch.equal(copy.sample(TEXT, FRAMES, **options).codes, model.sample(TEXT, FRAMES, **options).codes)

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kinema.atomic import replacing
 from kinema.motion import export
-from kinema.motion.atomic import replacing
+from kinema.motion.formats.arrays import load_npy, load_npz
 from kinema.motion.skeleton import HUMANML3D, KIT
 from kinema.types import Motion
 
@@ -23,7 +24,7 @@ def motion(wander) -> Motion:
 
 @pytest.mark.parametrize("seed", [7, None])
 def test_npz_round_trip(motion, tmp_path, seed):
-    back = export.load_npz(export.save(replace(motion, seed=seed), tmp_path / "new" / "m.npz"))
+    back = load_npz(export.save(replace(motion, seed=seed), tmp_path / "new" / "m.npz"))
     np.testing.assert_array_equal(back.joints, motion.joints)
     np.testing.assert_array_equal(back.features, motion.features)
     assert (back.text, back.skeleton, back.fps, back.seed) == (motion.text, "humanml3d", 20.0, seed)
@@ -31,7 +32,7 @@ def test_npz_round_trip(motion, tmp_path, seed):
 
 def test_npy_round_trip(motion, tmp_path):
     double = replace(motion, joints=motion.joints.astype(np.float64))
-    back = export.load_npy(export.save(double, tmp_path / "m.npy"))
+    back = load_npy(export.save(double, tmp_path / "m.npy"))
     assert back.dtype == np.float32
     np.testing.assert_array_equal(back, motion.joints)
 
@@ -105,17 +106,17 @@ def test_untrusted_files_are_refused(motion, tmp_path):
     np.savez(tmp_path / "object.npz", joints=np.array([Bomb()], dtype=object))
     for name in ("raw.npy", "object.npy"):
         with pytest.raises(ValueError, match=name):
-            export.load_npy(tmp_path / name)
+            load_npy(tmp_path / name)
     with pytest.raises(ValueError, match=r"object\.npz"):
-        export.load_npz(tmp_path / "object.npz")
+        load_npz(tmp_path / "object.npz")
 
 
 def test_wrong_content_is_named(motion, tmp_path):
     np.save(tmp_path / "flat.npy", np.zeros((5, 66)))
     with pytest.raises(ValueError, match=r"\(frames, joints, 3\); it holds float64 \(5, 66\)"):
-        export.load_npy(tmp_path / "flat.npy")
+        load_npy(tmp_path / "flat.npy")
     np.savez(tmp_path / "part.npz", joints=motion.joints)
     with pytest.raises(ValueError, match="lacks features, fps, skeleton, text"):
-        export.load_npz(tmp_path / "part.npz")
+        load_npz(tmp_path / "part.npz")
     with pytest.raises(FileNotFoundError, match=r"gone\.npy"):
-        export.load_npy(tmp_path / "gone.npy")
+        load_npy(tmp_path / "gone.npy")

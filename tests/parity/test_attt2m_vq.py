@@ -11,7 +11,7 @@ from kinema import interop
 from kinema.motion.representation import Representation
 from kinema.motion.statistics import PUBLISHED_DIVISOR, Statistics
 from kinema.tokenizers.body_parts import BodyPartEncoder
-from kinema.tokenizers.vq import VectorQuantized
+from kinema.tokenizers.vq import VQVAE
 from kinema.types import MotionBatch
 
 pytestmark = pytest.mark.shared
@@ -63,5 +63,5 @@ def test_losses(tensors, model, motion):
 @pytest.mark.parametrize(("skeleton", "parameters"), [("humanml3d", 20_496_455), ("kit", 20_478_011)])
 def test_the_published_size(skeleton, parameters):
     # STATE_DICTS: 20.496M and 20.478M.
-    model = VectorQuantized(Representation("redundant", skeleton), encoder=BodyPartEncoder(skeleton, "redundant"))
+    model = VQVAE(Representation("redundant", skeleton), encoder=BodyPartEncoder(skeleton, "redundant"))
     assert sum(p.numel() for p in model.parameters()) == parameters

@@ -9,14 +9,14 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.editing import task_slices, task_slots
-from kinema.generators.bad import BidirectionalAutoregressive
-from kinema.generators.bad_sampling import BadSampling
-from kinema.generators.bad_training import BadDraws
+from kinema.generators.bad.model import BAD
+from kinema.generators.bad.sampling import BadSampling
+from kinema.generators.bad.training import BadDraws
 from kinema.interop import bad
 from kinema.masking import hybrid_mask, official_inference_mask, shrinking_counts
 from kinema.motion.statistics import Statistics
 from kinema.nn.embeddings import sinusoidal_positions
+from kinema.pipeline.editing import task_slices, task_slots
 from kinema.types import Known, Latents, MotionBatch, TextFeatures, frame_mask
 
 pytestmark = pytest.mark.shared
@@ -34,7 +34,7 @@ def state(golden: dict[str, Tensor]) -> dict[str, Tensor]:
     return {k.removeprefix("sd."): v for k, v in golden.items() if k.startswith("sd.")}
 
 
-def load(shared, name: str = "bad_transformer", **options) -> BidirectionalAutoregressive:
+def load(shared, name: str = "bad_transformer", **options) -> BAD:
     return interop.load("bad", {"trans": state(read(shared, name))}, heads=4, words="all", **options)
 
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from kinema.editing import TASKS, task_slices, task_slots
+from kinema.pipeline.editing import TASKS, task_slices, task_slots
 
 pytestmark = pytest.mark.shared
 PUBLISHED = {"inbetween": "inbetween", "outpaint": "outpainting", "prefix": "prefix", "suffix": "suffix"}

@@ -10,8 +10,8 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.generators.bamm import BammSampling, BidirectionalAutoregressive, condition_mask
-from kinema.generators.bamm_training import BammDraws
+from kinema.generators.bamm.model import BAMM, BammSampling, condition_mask
+from kinema.generators.bamm.training import BammDraws
 from kinema.interop import bamm
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
@@ -29,7 +29,7 @@ def state(shared) -> dict[str, Tensor]:
     return {k.removeprefix("sd."): v for k, v in read(shared, "transformer").items() if k.startswith("sd.")}
 
 
-def load_model(shared) -> BidirectionalAutoregressive:
+def load_model(shared) -> BAMM:
     return interop.load("bamm", {"t2m_transformer": state(shared)}, heads=4)
 
 

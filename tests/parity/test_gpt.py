@@ -7,9 +7,9 @@ import torch
 from safetensors.torch import load_file
 
 from kinema import interop
-from kinema.generators.gpt import CausalTransformer
-from kinema.generators.gpt_sampling import GptSampling
-from kinema.generators.gpt_training import GptDraws, corrupt, targets
+from kinema.generators.gpt.model import T2MGPT
+from kinema.generators.gpt.sampling import GptSampling
+from kinema.generators.gpt.training import GptDraws, corrupt, targets
 from kinema.interop import gpt
 from kinema.types import Latents, TextFeatures
 
@@ -20,7 +20,7 @@ END, POSITIONS = 24, 14
 
 
 @pytest.fixture(params=KINDS)
-def golden(request, shared) -> tuple[dict[str, torch.Tensor], CausalTransformer]:
+def golden(request, shared) -> tuple[dict[str, torch.Tensor], T2MGPT]:
     """Give the golden tensors and the importer's module."""
     tensors = load_file(shared / "golden" / "vq" / f"{KINDS[request.param]}.safetensors")
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}

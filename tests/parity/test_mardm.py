@@ -14,8 +14,8 @@ from kinema import interop
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.diffusion.guidance import guided
-from kinema.generators.mar import MarSampling, MaskedAutoregressive
-from kinema.generators.mar_training import MarDraws
+from kinema.generators.mar.model import MARDM, MarSampling
+from kinema.generators.mar.training import MarDraws
 from kinema.interop import mardm
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import timestep_embedding
@@ -36,7 +36,7 @@ def state(golden: dict[str, Tensor]) -> dict[str, Tensor]:
     return {k.removeprefix("sd."): v for k, v in golden.items() if k.startswith("sd.")}
 
 
-def load_model(shared, variant: str) -> MaskedAutoregressive:
+def load_model(shared, variant: str) -> MARDM:
     golden = read(shared, f"{variant}_transformer")
     return interop.load("mardm", {"ema_mardm": state(golden)}, variant=variant, heads=4, max_latents=10)
 
@@ -268,7 +268,7 @@ def test_sampling_kept_positions_only_changes_nothing_but_rounding(shared):
 def test_exported_sizes_are_the_published_ones(shared):
     manifest = json.loads((shared / "golden/mardm/mardm_state_dict_manifest.json").read_text())
     with torch.device("meta"):
-        model = MaskedAutoregressive(latent_dim=512, text_dim=512, process=DDPM())
+        model = MARDM(latent_dim=512, text_dim=512, process=DDPM())
         exported = mardm.export(model)
     published = [keys for name, keys in manifest.items() if name.startswith("MARDM-")]
     assert published == [{k: list(v.shape) for k, v in exported.items()}] * 2

@@ -10,7 +10,7 @@ from torch import Tensor
 from kinema import interop
 from kinema.decoding.draws import Greedy
 from kinema.decoding.token_unmasking import unmask_tokens
-from kinema.generators.mmm import MaskedMotionModel, MmmDraws, MmmSampling
+from kinema.generators.mmm import MMM, MmmDraws, MmmSampling
 from kinema.interop import bad, mmm
 from kinema.masking import shrinking_counts
 from kinema.types import Known, Latents, TextFeatures, frame_mask
@@ -28,7 +28,7 @@ def state(shared) -> dict[str, Tensor]:
     return {k.removeprefix("sd."): v for k, v in read(shared, "transformer").items() if k.startswith("sd.")}
 
 
-def load(shared) -> MaskedMotionModel:
+def load(shared) -> MMM:
     return interop.load("mmm", {"trans": state(shared)}, heads=4, words="all")
 
 

@@ -9,10 +9,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.generators.cascade import Cascade
-from kinema.generators.momask import MaskedTransformer, MoMaskDraws, MoMaskSampling, corrupt, select
-from kinema.generators.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
-from kinema.generators.token_encoder import guided_logits
+from kinema.generators.momask.cascade import Cascade
+from kinema.generators.momask.model import MoMask, MoMaskDraws, MoMaskSampling, corrupt, select
+from kinema.generators.momask.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
+from kinema.generators.tokens.encoder import guided_logits
 from kinema.interop import momask, momask_residual
 from kinema.motion.statistics import Statistics
 from kinema.types import Known, Latents, TextFeatures, frame_mask
@@ -32,7 +32,7 @@ def state(golden: dict[str, Tensor], prefix: str = "sd.") -> dict[str, Tensor]:
     return {k.removeprefix(prefix): v for k, v in golden.items() if k.startswith(prefix)}
 
 
-def load_base(shared) -> MaskedTransformer:
+def load_base(shared) -> MoMask:
     content = {"t2m_transformer": state(read(shared, "momask_base")), "ep": 3}
     return interop.load("momask", content, heads=4, max_latents=14).requires_grad_(False)
 

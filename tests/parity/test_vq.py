@@ -12,7 +12,7 @@ from kinema import interop
 from kinema.motion.representation import Representation
 from kinema.motion.statistics import Statistics
 from kinema.tokenizers.codebook import CodebookDraws, EMACodebook, tile
-from kinema.tokenizers.vq import VectorQuantized
+from kinema.tokenizers.vq import VQVAE
 from kinema.types import Latents, MotionBatch
 
 pytestmark = pytest.mark.shared
@@ -79,7 +79,7 @@ def test_losses_and_gradients(golden):
 def test_published_sizes_load(kind, size, dim, count):
     quantizer = EMACodebook(size, dim)
     features = Representation("redundant", "humanml3d")
-    ours = VectorQuantized(features, codebook_size=size, code_dim=dim, quantizer=quantizer)
+    ours = VQVAE(features, codebook_size=size, code_dim=dim, quantizer=quantizer)
     state = {theirs: ours.state_dict()[name] for theirs, name in names().items()}
     assert len(state) == 67
     model = interop.load(kind, {"net": state})

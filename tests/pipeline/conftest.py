@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from kinema import artifacts
-from kinema.build import build
-from kinema.folders import write_json
 from kinema.motion.statistics import Statistics
 from kinema.pipeline import TextToMotion
+from kinema.runs import weights as artifacts
+from kinema.runs.build import build
+from kinema.runs.parts import write_json
 from kinema.text.encoders import build_text_encoder
 
 TOKENIZER = {
@@ -25,7 +25,7 @@ TOKENIZER = {
     "dropout": 0.0,
 }
 GENERATOR = {
-    "_target_": "kinema.generators.mar.MaskedAutoregressive",
+    "_target_": "kinema.generators.mar.MARDM",
     "latent_dim": 8,
     "text_dim": 64,
     "process": {"_target_": "kinema.diffusion.flow.Flow"},

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinema.editing import TASKS, complement, parse_ranges, resolve_ranges
+from kinema.pipeline.editing import TASKS, complement, parse_ranges, resolve_ranges
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from kinema.motion.recovery import recover_joints
-from kinema.pipeline import TextToMotion, best_device
-from kinema.requests import sample_seeds
+from kinema.pipeline.arguments import sample_seeds
+from kinema.pipeline.text_to_motion import TextToMotion, best_device
 
 TEXTS = ["a person walks", "a man jumps twice", "someone waves"]
 CLOSE = {"rtol": 1e-4, "atol": 1e-4}

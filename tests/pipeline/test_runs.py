@@ -11,9 +11,9 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
-from kinema import artifacts
-from kinema.folders import write_json
 from kinema.pipeline import TextToMotion
+from kinema.runs import weights as artifacts
+from kinema.runs.parts import write_json
 
 
 def tokenizer_of(parts):

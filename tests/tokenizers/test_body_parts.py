@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from kinema.build import build
 from kinema.experiments.config import compose, plain
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import HUMANML3D, KIT, get_skeleton
 from kinema.motion.statistics import Statistics
 from kinema.nn.transformer import run
+from kinema.runs.build import build
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.body_parts import BodyPartEncoder, part_mask
-from kinema.tokenizers.vq import VectorQuantized
+from kinema.tokenizers.vq import VQVAE
 from kinema.types import MotionBatch
 
 KINDS = [(kind, skeleton) for kind in ("essential", "redundant") for skeleton in ("humanml3d", "kit")]
@@ -116,9 +116,7 @@ def test_padding_and_neighbours_change_nothing(kind, skeleton):
 def test_every_weight_of_the_tokenizer_learns(kind, auxiliary):
     encoder = make(kind)
     representation = Representation(kind, "humanml3d").fit(Statistics(np.zeros(263), np.ones(263)))
-    model = VectorQuantized(
-        representation, codebook_size=16, code_dim=12, encoder=encoder, width=16, auxiliary=auxiliary
-    ).train()
+    model = VQVAE(representation, codebook_size=16, code_dim=12, encoder=encoder, width=16, auxiliary=auxiliary).train()
     assert isinstance(model, MotionTokenizer)
     motion = MotionBatch(torch.randn(4, 32, 263, generator=torch.Generator().manual_seed(1)), torch.full((4,), 32))
     model.loss(motion, generator=torch.Generator().manual_seed(0))["loss"].backward()

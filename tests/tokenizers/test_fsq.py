@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from kinema.build import build
 from kinema.experiments.config import compose, plain
 from kinema.motion.representation import Representation
 from kinema.motion.statistics import Statistics
+from kinema.runs.build import build
 from kinema.tokenizers.fsq import FiniteScalarQuantizer
-from kinema.tokenizers.vq import VectorQuantized
+from kinema.tokenizers.vq import VQVAE
 from kinema.types import Latents, MotionBatch
 
 pytest.importorskip("vector_quantize_pytorch")
@@ -28,10 +28,10 @@ def vectors(*size: int, seed: int = 0) -> torch.Tensor:
     return 3 * torch.randn(*size, generator=torch.Generator().manual_seed(seed))
 
 
-def tokenizer() -> VectorQuantized:
+def tokenizer() -> VQVAE:
     torch.manual_seed(0)
     representation = Representation("essential", "humanml3d").fit(Statistics(np.zeros(67), np.ones(67)))
-    return VectorQuantized(representation, codebook_size=60, code_dim=8, quantizer=make(), width=16, commit_weight=0.0)
+    return VQVAE(representation, codebook_size=60, code_dim=8, quantizer=make(), width=16, commit_weight=0.0)
 
 
 def motion(lengths=(32, 32, 17), seed=0) -> MotionBatch:
@@ -125,7 +125,7 @@ def test_bad_input_is_named(monkeypatch):
         with pytest.raises(ValueError, match=r"levels=.*each at least 3"):
             make(levels)
     with pytest.raises(ValueError, match="codebook_size=64, but the quantizer's is 60"):
-        VectorQuantized(Representation("essential", "humanml3d"), codebook_size=64, code_dim=8, quantizer=make())
+        VQVAE(Representation("essential", "humanml3d"), codebook_size=64, code_dim=8, quantizer=make())
     monkeypatch.setitem(sys.modules, "vector_quantize_pytorch", None)
     with pytest.raises(ImportError, match=r"pip install 'kinema\[vq\]'"):
         make()

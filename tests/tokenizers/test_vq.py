@@ -8,14 +8,14 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from kinema.build import build
 from kinema.experiments.config import compose, plain
 from kinema.motion.representation import Representation
 from kinema.motion.statistics import Statistics
+from kinema.runs.build import build
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.codebook import EMACodebook
 from kinema.tokenizers.rvq import ResidualQuantizer
-from kinema.tokenizers.vq import VectorQuantized
+from kinema.tokenizers.vq import VQVAE
 from kinema.types import Latents, MotionBatch
 
 LENGTHS = [40, 23, 9, 4]
@@ -33,13 +33,13 @@ def batch(lengths=LENGTHS, seed=0, width=263) -> MotionBatch:
     return MotionBatch(rows * (torch.arange(max(lengths)) < counts[:, None])[..., None], counts)
 
 
-def make(kind="always", **options) -> VectorQuantized:
+def make(kind="always", **options) -> VQVAE:
     """Give a tokenizer whose codebooks have seen a few batches, in eval mode."""
     torch.manual_seed(0)
     representation, rng = Representation("redundant", "humanml3d"), np.random.default_rng(0)
     representation.fit(Statistics(rng.normal(size=263), rng.uniform(0.5, 2, 263)))
     sizes = {"codebook_size": SIZE, "code_dim": DIM, "width": 16}
-    model = VectorQuantized(representation, quantizer=QUANTIZERS[kind](), **sizes, **options)
+    model = VQVAE(representation, quantizer=QUANTIZERS[kind](), **sizes, **options)
     with torch.no_grad():
         for step in range(3):
             model.loss(batch([32] * 8, step + 50), generator=torch.Generator().manual_seed(step))
@@ -190,9 +190,9 @@ def test_configs_build(name, scale):
 def test_what_cannot_work_is_named():
     representation = Representation("essential", "humanml3d")
     with pytest.raises(ValueError, match=r"auxiliary='velocities': choose one of joints$"):
-        VectorQuantized(representation, auxiliary="velocities")
+        VQVAE(representation, auxiliary="velocities")
     with pytest.raises(ValueError, match="codebook_size=512, but the quantizer's is 24"):
-        VectorQuantized(representation, quantizer=EMACodebook(SIZE, 512))
+        VQVAE(representation, quantizer=EMACodebook(SIZE, 512))
     model = make()
     with pytest.raises(ValueError, match="motion of 3 frames is too short"):
         model.encode(batch([3]))

@@ -57,11 +57,11 @@ class MotionDataModule(L.LightningDataModule):
 
     @cached_property
     def store(self) -> PackedStore:
-        """Give the packed corpus, opened on first use."""
+        """The packed corpus, opened on first use."""
         return PackedStore.open(self.path)
 
     def dataset(self, split: str) -> WindowDataset | ClipDataset:
-        """Give the items of a split, of this module's kind."""
+        """Return the items of a split, of this module's kind."""
         if self.kind == "windows":
             return WindowDataset(self.store, split, self.window, legacy=self.legacy_windows)
         return ClipDataset(self.store, split)
@@ -72,7 +72,7 @@ class MotionDataModule(L.LightningDataModule):
             self.dataset("train")
 
     def train_dataloader(self) -> DataLoader:
-        """Give the training batches from the trainer's current step on."""
+        """Return the training batches from the trainer's current step on."""
         dataset, rank, world, start = self.dataset("train"), 0, 1, 0
         if self.trainer is not None:
             rank, world = self.trainer.global_rank, self.trainer.world_size
@@ -82,7 +82,7 @@ class MotionDataModule(L.LightningDataModule):
         return self._loader(dataset, sampler)
 
     def val_dataloader(self) -> DataLoader:
-        """Give the validation batches: the same items, crops and captions every time.
+        """Return the validation batches: the same items, crops and captions every time.
 
         Every rank validates all of them, so that the loss which selects weights does not depend on the number of ranks
         (contrastive losses depend on what shares a batch).

@@ -48,7 +48,7 @@ class WindowDataset:
         return int(self._ends[-1]) if len(self._ends) else 0
 
     def locate(self, index: int) -> tuple[int, int]:
-        """Give the row of `clips` (those long enough) and the first frame of an item."""
+        """Return the row of `clips` (those long enough) and the first frame of an item."""
         if not 0 <= index < len(self):
             raise IndexError(f"item {index} of {len(self)}")
         if self.legacy:
@@ -122,6 +122,6 @@ class ClipDataset:
 
 
 def crop_frames(length: int, unit: int) -> tuple[int, int]:
-    """Give the two lengths a crop can have: the greatest multiple of the unit, and one unit less (but not nothing)."""
+    """Return both lengths a crop can have: the greatest multiple of the unit, and one unit less (but not nothing)."""
     most = length // unit * unit
     return most, max(most - unit, unit)

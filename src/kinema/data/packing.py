@@ -105,7 +105,7 @@ class StoreWriter:
         return manifest
 
     def bytes_per_clip(self) -> float:
-        """Give the mean size of the clips written so far, or that of the longest entry."""
+        """Return the mean size of the clips written so far, or that of the longest entry."""
         frames = self.frames / len(self._clips) if self._clips else self.skeleton.max_frames
         return 4 * self.skeleton.feature_width * frames
 

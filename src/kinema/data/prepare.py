@@ -194,7 +194,7 @@ def _move(partial: Path, out: Path, content: str) -> None:
 
 
 def _request_of(store: Path) -> str | None:
-    """Give the request that made a store, None where there is no store."""
+    """Return the request that made a store, None where there is no store."""
     file = store / "manifest.json"
     return json.loads(file.read_text(encoding="utf-8"))["options"]["request"] if file.is_file() else None
 

@@ -23,7 +23,7 @@ def item_seed(seed: int, epoch: int, index: int) -> int:
 
 
 class StepSampler:
-    """Give the batches of steps `start_step` to `steps`: lists of (index, item seed).
+    """Return the batches of steps `start_step` to `steps`: lists of (index, item seed).
 
     Every epoch is one permutation of the items, the incomplete last batch dropped. `batch_size` counts the global
     batch; a rank takes its contiguous share of it, so that any number of ranks sees the same batches. `len` counts all

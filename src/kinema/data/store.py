@@ -72,7 +72,7 @@ class PackedStore:
 
     @property
     def hash(self) -> str:
-        """Give the short hash of the content: features, index, captions, skeleton."""
+        """The short hash of the content: features, index, captions, skeleton."""
         return self.manifest["hash"]
 
     @property
@@ -91,20 +91,20 @@ class PackedStore:
         return len(self.entries)
 
     def split_clips(self, split: str) -> np.ndarray:
-        """Give the ids of a split's clips."""
+        """Return the ids of a split's clips."""
         return np.flatnonzero(self.clips["split"] == _split_index(split))
 
     def split_entries(self, split: str, *, captions_required: bool = True) -> np.ndarray:
-        """Give the ids of a split's entries, by default only of those that have a caption."""
+        """Return the ids of a split's entries, by default only of those that have a caption."""
         chosen = self.entries["split"] == _split_index(split)
         return np.flatnonzero(chosen & (self.entries["captions"] > 0) if captions_required else chosen)
 
     def frames_of(self, entry: int) -> np.ndarray:
-        """Give an entry's full-width features as a view, no copy."""
+        """Return an entry's full-width features as a view, no copy."""
         return self._rows_of(self.entries[entry])
 
     def clip_frames(self, clip: int) -> np.ndarray:
-        """Give a clip's full-width features as a view, no copy."""
+        """Return a clip's full-width features as a view, no copy."""
         return self._rows_of(self.clips[clip])
 
     def clip_name(self, clip: int) -> str:
@@ -118,21 +118,21 @@ class PackedStore:
         return name if row["part"] < 0 else f"{name}#{row['part']}"
 
     def entry_captions(self, entry: int) -> list[Caption]:
-        """Give an entry's captions."""
+        """Return an entry's captions."""
         row = self.entries[entry]
         return [self.caption(i) for i in range(row["caption"], row["caption"] + row["captions"])]
 
     def caption(self, index: int) -> Caption:
-        """Give one caption of the corpus."""
+        """Return one caption of the corpus."""
         text, tokens = self._captions[index]
         return Caption(self._string(text), tuple(self._string(tokens).split()))
 
     def entry_field(self, entry: int, field: str) -> str:
-        """Give a field of an entry's clip; empty where the clip has none."""
+        """Return a field of an entry's clip; empty where the clip has none."""
         return self.clip_field(self.entries[entry]["clip"], field)
 
     def clip_field(self, clip: int, field: str) -> str:
-        """Give a field of a clip; empty where the clip has none."""
+        """Return a field of a clip; empty where the clip has none."""
         if field not in self.fields:
             raise ValueError(f"corpus {self.name!r} has no field {field!r}; it has {list(self.fields)}")
         return self._field_values[field][self._field_codes[clip, self.fields.index(field)]]

@@ -28,7 +28,7 @@ class TokenDraws(Protocol):
     """Everything random in the generation of tokens (tests inject recorded draws)."""
 
     def order(self, size: int) -> Float[Tensor, "b n"]:
-        """Give one number per position, from which a method derives its order of decoding."""
+        """Return one number per position, from which a method derives its order of decoding."""
 
     def pick(self, step: int, logits: Float[Tensor, "b n k"]) -> Int[Tensor, "b n"]:
         """Draw one class per position from softmax(logits)."""
@@ -41,7 +41,7 @@ class SeededDraws:
         self.seeds = _mix(seeds.cpu().long() + torch.tensor(stream) * _GOLDEN)
 
     def order(self, size: int) -> Float[Tensor, "b n"]:
-        """Give uniform numbers (on the CPU, where orders are made)."""
+        """Return uniform numbers (on the CPU, where orders are made)."""
         return uniform(self.seeds, ORDER, size)
 
     def pick(self, step: int, logits: Float[Tensor, "b n k"]) -> Int[Tensor, "b n"]:
@@ -56,7 +56,7 @@ class Greedy:
         self.order = SeededDraws(seeds).order
 
     def pick(self, step: int, logits: Float[Tensor, "b n k"]) -> Int[Tensor, "b n"]:
-        """Give the argmax."""
+        """Return the argmax."""
         return logits.argmax(-1)
 
 

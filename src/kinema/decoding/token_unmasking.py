@@ -15,7 +15,7 @@ PART = 2**22
 """Numbers that are worked on at once (16 MB)."""
 
 Predict = Callable[[Int[Tensor, "b n"], Bool[Tensor, "b n"], int], Float[Tensor, "b n k"]]
-"""Give logits from (codes, masked, step); what the codes hold at masked positions means nothing."""
+"""Return logits from (codes, masked, step); what the codes hold at masked positions means nothing."""
 
 Choose = Callable[[int, Float[Tensor, "b n k"]], Int[Tensor, "b n"]]
 """Choose one code per position from the logits of a step."""

@@ -20,7 +20,7 @@ class Draws(Protocol):
     """Everything random in a generation: the order of the positions and the noise of the sampled ones."""
 
     def order(self) -> Float[Tensor, "b n"]:
-        """Give one number per position; the highest is decoded first."""
+        """Return one number per position; the highest is decoded first."""
 
     def noise(self, step: int, mask: Bool[Tensor, "b n"]) -> Iterator[Float[Tensor, "m c"]]:
         """Yield, for unmasking step `step`, noise rows of the positions in `mask` (row-major): start, step 1, 2 ..."""
@@ -38,7 +38,7 @@ class SampleDraws:
         self.device = device
 
     def order(self) -> Float[Tensor, "b n"]:
-        """Give uniform numbers; padding gets 2."""
+        """Return uniform numbers; padding gets 2."""
         order = torch.full((len(self.lengths), max(self.lengths)), 2.0)
         for row, length, generator in zip(order, self.lengths, self.generators, strict=True):
             row[:length] = torch.rand(length, generator=generator)

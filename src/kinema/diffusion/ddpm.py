@@ -48,7 +48,7 @@ class DDPM(nn.Module):
     def loss(
         self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
-        """Give the squared error of the prediction per row, averaged over its dims."""
+        """Return the squared error of the prediction per row, averaged over its dims."""
         output = predict(self.add_noise(x1, time, noise), time)
         target = noise if self.prediction == "epsilon" else x1
         return (output - target).square().flatten(1).mean(dim=1)
@@ -98,7 +98,7 @@ class DDPM(nn.Module):
 
 
 def posterior_mean(schedule: Schedule, k: int, x: Tensor, x0: Tensor) -> Tensor:
-    """Give the mean of q(x_{k-1} | x_k, x0)."""
+    """Return the mean of q(x_{k-1} | x_k, x0)."""
     return schedule.posterior_mean_coef1[k].item() * x0 + schedule.posterior_mean_coef2[k].item() * x
 
 

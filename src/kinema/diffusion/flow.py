@@ -42,7 +42,7 @@ class Flow(nn.Module):
     def loss(
         self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
-        """Give the squared error of the velocity per row, averaged over its dims."""
+        """Return the squared error of the velocity per row, averaged over its dims."""
         output = predict(self.add_noise(x1, time, noise), time)
         return (output - (x1 - noise)).square().flatten(1).mean(dim=1)
 

@@ -61,18 +61,18 @@ class Schedule:
 
     @cached_property
     def posterior_log_variance_clipped(self) -> Float[Tensor, " t"]:
-        """Give the log variance with that of step 0 (which is 0, and never used) replaced by that of step 1."""
+        """The log variance with that of step 0 (which is 0, and never used) replaced by that of step 1."""
         second = self.posterior_variance[1:2] if len(self.betas) > 1 else self.betas[:1]
         return torch.cat((second, self.posterior_variance[1:])).log()
 
     @cached_property
     def posterior_mean_coef1(self) -> Float[Tensor, " t"]:
-        """Give the weight of x0 in the posterior mean."""
+        """The weight of x0 in the posterior mean."""
         return self.betas * self.alphas_cumprod_prev.sqrt() / (1 - self.alphas_cumprod)
 
     @cached_property
     def posterior_mean_coef2(self) -> Float[Tensor, " t"]:
-        """Give the weight of x_t in the posterior mean."""
+        """The weight of x_t in the posterior mean."""
         return (1 - self.alphas_cumprod_prev) * (1 - self.betas).sqrt() / (1 - self.alphas_cumprod)
 
     def respace(self, steps: int | str) -> Schedule:

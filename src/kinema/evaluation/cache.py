@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from kinema.motion.atomic import replacing
+from kinema.atomic import replacing
 from kinema.types import Caption, MotionBatch
 
 
@@ -47,7 +47,7 @@ class Shelf:
                 raise ValueError(f"{path} is damaged ({error}); delete it, it will be computed anew") from None
 
     def get(self, key: str, compute: Callable[[], Tensor], device: torch.device) -> Tensor:
-        """Give the embeddings under a key; compute them once."""
+        """Return the embeddings under a key; compute them once."""
         if key not in self._known:
             self._known[key] = compute().detach().float().cpu().numpy()
             self.computed += 1

@@ -45,7 +45,7 @@ class ReplicationResult:
 
 
 def sample_seeds(seed: int, replication: int, first: int, count: int, repeat: int = 0) -> Int[Tensor, " b"]:
-    """Give the seeds of rows first..first+count-1 of a replication: the same for every source."""
+    """Return the seeds of rows first..first+count-1 of a replication: the same for every source."""
     rows = range(first, first + count)
     words = [np.random.SeedSequence([seed, replication, repeat, row]).generate_state(2) for row in rows]
     return torch.tensor([(int(high) << 31) ^ int(low) for high, low in words], dtype=torch.int64)

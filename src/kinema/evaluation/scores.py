@@ -92,7 +92,7 @@ class Scores:
         self.multimodality.update(embeddings)
 
     def compute(self) -> dict[str, float]:
-        """Give every metric by its key; `n` counts the rows."""
+        """Return every metric by its key; `n` counts the rows."""
         out: dict[str, Tensor | float] = {"n": self.count}
         out |= self.retrieval.compute()
         if self.count > 1:

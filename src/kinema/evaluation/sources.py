@@ -1,4 +1,4 @@
-"""Give the motions that are scored: a model's, real ones, and the controls a model has to be read against."""
+"""Return the motions that are scored: a model's, real ones, and the controls a model has to be read against."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from kinema.decoding.draws import SeededDraws
-from kinema.editing import task_slots
 from kinema.evaluation.metrics.code_usage import CodeUsage
-from kinema.kept import encode_kept
+from kinema.pipeline.editing import task_slots
+from kinema.pipeline.kept import encode_kept
 from kinema.types import Caption, Latents, MotionBatch, TextFeatures, frame_mask
 
 TextEncoder = Callable[[list[str]], TextFeatures]
@@ -139,7 +139,7 @@ class NoiseCodes:
 
 @runtime_checkable
 class TrainingClips(Protocol):
-    """Give training clips and their captions by entry (a `PackedStore` does)."""
+    """Return training clips and their captions by entry (a `PackedStore` does)."""
 
     def entry_captions(self, entry: int) -> list[Caption]: ...
 

@@ -13,8 +13,8 @@ from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.run import check_parts, command, run_stage, stage_folder
-from kinema.experiments.runs import RunFolder, append_line, console, read_lines, upstream, versions
 from kinema.experiments.stages import STAGES
+from kinema.runs.folder import RunFolder, append_line, console, read_lines, upstream, versions
 
 NEEDS = {"real": (), "shuffled": (), "nearest": (), "noise": ("tokenizer",), "reconstruction": ("tokenizer",)}
 """The runs a source reads beside the judges'; generation reads the generator's, which knows its tokenizer, the residual
@@ -33,7 +33,7 @@ class Row:
 
     @property
     def lines(self) -> list[dict[str, Any]]:
-        """Give the results by replication, each at most once."""
+        """The results by replication, each at most once."""
         found = {line["replication"]: line for line in read_lines(self.folder.path / "replications.jsonl")}
         return [found[r] for r in range(self.replications) if r in found]
 
@@ -88,7 +88,7 @@ def _generation_needs(cfg: DictConfig) -> list[str]:
 
 
 def _given_run(cfg: DictConfig, stage: str) -> Path | None:
-    """Give the run that `run=` names, or the part of the generator that it names; `tokenizer_run=` likewise."""
+    """Return the run that `run=` names, or the part of the generator that it names; `tokenizer_run=` likewise."""
     if not cfg.get("run"):
         return Path(cfg.tokenizer_run) if stage == "tokenizer" and cfg.tokenizer_run else None
     links = upstream(Path(cfg.run))
@@ -112,7 +112,7 @@ def run_evaluation(cfg: DictConfig) -> Row:
 
 
 def _own_stages(cfg: DictConfig, row: Row) -> list[str]:
-    """Give the stages that the configuration describes; what is wrong is told before any of them trains."""
+    """Return the stages that the configuration describes; what is wrong is told before any of them trains."""
     store, own = open_corpus(cfg), []
     require_captions(store, cfg.scale.protocol.split)
     if not cfg.get("run") and "generator" in row.runs:

@@ -1,4 +1,4 @@
-"""Give every run its identity: a hash of all that can change its result, and of nothing else."""
+"""Return every run its identity: a hash of all that can change its result, and of nothing else."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain
-from kinema.experiments.runs import upstream
 from kinema.experiments.stages import STAGES, Stage
+from kinema.runs.folder import upstream
 
 IDENTITY_VERSION = 1
 """Raised when a change of the code changes what a config means: old runs are then not taken for new ones."""

@@ -8,10 +8,10 @@ from typing import Any
 from omegaconf import DictConfig
 from torch import nn
 
-from kinema import artifacts
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.experiments.stages import Stage
+from kinema.runs import weights as artifacts
 from kinema.text.cache import CachedTextEncoder
 from kinema.text.encoders import FrozenTextEncoder, build_text_encoder
 from kinema.text.tokens import TokenTable, clip_tokens
@@ -19,7 +19,7 @@ from kinema.text.words import WordVectors, word_vectors
 
 
 def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
-    """Give the plain spec that kinema.build makes the stage's model of."""
+    """Return the plain spec that kinema.runs.build makes the stage's model of."""
     node = plain(stage.config(cfg))
     spec = dict(node["model"])
     if "sampling" in node:
@@ -38,7 +38,7 @@ def read_model(run: Path) -> tuple[nn.Module, dict[str, Any]]:
 
 
 def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:
-    """Give the method's frozen text encoder behind its on-disk cache."""
+    """Return the method's frozen text encoder behind its on-disk cache."""
     return cached(cfg, build_text_encoder(cfg.text.name, path=cfg.text.path, device=device))
 
 
@@ -56,7 +56,7 @@ def encode_captions(text: CachedTextEncoder, store: PackedStore, *splits: str) -
 
 
 def vocabulary(cfg: DictConfig, stage: Stage) -> WordVectors | TokenTable:
-    """Give an evaluator's word vectors (T2M-style) or token table (CLIP-style); its models' width follows them."""
+    """Return an evaluator's word vectors (T2M-style) or token table (CLIP-style); its models' width follows them."""
     if stage.name == "contrastive":
         return clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
     return word_vectors(cfg.evaluator.words, path=cfg.evaluator.words_path)

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 from kinema.experiments.config import CONF
-from kinema.experiments.runs import RunFolder, console, upstream
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
+from kinema.runs.folder import RunFolder, console, upstream
 
 ROOT = CONF.parent
 
@@ -59,7 +59,7 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
 
 
 def make_command(name: str, overrides: list[str]) -> str:
-    """Give the command that makes a table with these overrides."""
+    """Return the command that makes a table with these overrides."""
     own = [o for o in overrides if o.startswith(("data=", "scale="))]
     other = [o for o in overrides if o not in own]
     words = [f"make reproduce-{name}", *(f"{k.upper()}={v}" for k, v in (o.split("=", 1) for o in own))]
@@ -67,7 +67,7 @@ def make_command(name: str, overrides: list[str]) -> str:
 
 
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
-    """Give the multiruns that a table still needs, upstream first; none when everything is there."""
+    """Return the multiruns that a table still needs, upstream first; none when everything is there."""
     ours = [row for row in rows if row.cfg is not None and not row.complete]
     work: list[tuple[str, list[str]]] = []
     for stages in (("matching", "contrastive"), ("tokenizer",), ("generator",)):

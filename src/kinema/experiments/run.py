@@ -14,8 +14,8 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, stage_identity
-from kinema.experiments.runs import RunFolder, console, global_rank, versions, write_json
 from kinema.experiments.stages import STAGES, Stage, label
+from kinema.runs.folder import RunFolder, console, global_rank, versions, write_json
 
 WRITE_SECONDS = 600
 """How long other ranks wait for rank 0 to write a stage's weights before the next stage reads them."""
@@ -29,7 +29,7 @@ def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
 
 
 def command(cfg: DictConfig, stage: Stage) -> str:
-    """Give the command that trains a stage of this configuration: what was asked for, with another stage."""
+    """Return the command that trains a stage of this configuration: what was asked for, with another stage."""
     from hydra.core.hydra_config import HydraConfig
 
     given = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
@@ -39,7 +39,7 @@ def command(cfg: DictConfig, stage: Stage) -> str:
 
 
 def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
-    """Give the finished run of a stage, training what is missing.
+    """Return the finished run of a stage, training what is missing.
 
     Raises FileNotFoundError naming the command where an upstream run is missing and `ensure` is false.
     """
@@ -82,7 +82,7 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
 
 
 def given_tokenizer(cfg: DictConfig) -> RunFolder:
-    """Give the run that `tokenizer_run=` names (trained elsewhere, or imported)."""
+    """Return the run that `tokenizer_run=` names (trained elsewhere, or imported)."""
     run = RunFolder(Path(cfg.tokenizer_run).resolve())
     if not run.weights.exists():
         raise FileNotFoundError(
@@ -99,9 +99,10 @@ def check_parts(cfg: DictConfig, stage: Stage) -> None:
     import torch
     from torch import nn
 
-    from kinema.build import build
-    from kinema.compatibility import check_pair, check_stages
     from kinema.experiments.instantiate import model_spec, read_model
+    from kinema.generators.momask.cascade import check_stages
+    from kinema.pipeline.compatibility import check_pair
+    from kinema.runs.build import build
 
     def build_meta(cfg: DictConfig, name: str) -> nn.Module:
         with torch.device("meta"):

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 
-from kinema.build import build
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.store import PackedStore
 from kinema.evaluation import sources
@@ -22,6 +21,7 @@ from kinema.experiments.config import plain
 from kinema.experiments.instantiate import attach_text, cached, encode_captions, read_model, text_encoder
 from kinema.experiments.stages import STAGES
 from kinema.motion.recovery import recover_joints
+from kinema.runs.build import build
 from kinema.text.cache import CachedTextEncoder
 from kinema.training.fit import Machine, find_device
 from kinema.types import MotionBatch
@@ -102,7 +102,7 @@ class Scorer:
 
     @torch.no_grad()
     def _half_fid(self, replication: int) -> float:
-        """Give the FID of one half of the real clips to the other (their embeddings are cached)."""
+        """Return the FID of one half of the real clips to the other (their embeddings are cached)."""
         shelf = self.cache.shelf(self.matching.identity(), self.protocol.seed, replication)
         known = [
             shelf.get(motion_key(batch), partial(self.matching.embed_motion, batch), torch.device("cpu"))
@@ -160,12 +160,12 @@ class Scorer:
         return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))
 
     def _text(self, *splits: str) -> CachedTextEncoder:
-        """Give the cached text encoder: no caption is encoded twice, not over twenty replications."""
+        """Return the cached text encoder: no caption is encoded twice, not over twenty replications."""
         return encode_captions(text_encoder(self.cfg, self.device), self.store, *splits)
 
     @torch.no_grad()
     def _training_latents(self, tokenizer: Any, batches: int = 16) -> torch.Tensor:
-        """Give the values or codes of a part of the training clips, one row per position."""
+        """Return the values or codes of a part of the training clips, one row per position."""
         drawn = self.data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
         rows = []
         for _, batch in zip(range(batches), drawn, strict=False):
@@ -175,18 +175,18 @@ class Scorer:
         return torch.cat(rows)
 
     def _latent_statistics(self, tokenizer: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        """Give mean and std of each latent dim."""
+        """Return mean and std of each latent dim."""
         rows = self._training_latents(tokenizer)
         return rows.mean(0), rows.std(0)
 
     def _code_shares(self, tokenizer: Any) -> torch.Tensor:
-        """Give how often each layer's codes are used."""
+        """Return how often each layer's codes are used."""
         rows = self._training_latents(tokenizer)
         counts = [torch.bincount(layer, minlength=tokenizer.codebook_size) for layer in rows.T]
         return torch.stack(counts) / len(rows)
 
     def _fields(self, batch: MotionBatch) -> dict[str, list[str]]:
-        """Give the manifest's fields of each clip; of one with many values, whether training saw the value."""
+        """Return the manifest's fields of each clip; of one with many values, whether training saw the value."""
         found = {}
         for field in self.store.fields:
             if field == "licence":

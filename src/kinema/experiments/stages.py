@@ -23,7 +23,7 @@ class Stage:
     companions: tuple[str, ...] = ()
 
     def config(self, cfg: DictConfig) -> DictConfig:
-        """Give the stage's own part of the configuration."""
+        """Return the stage's own part of the configuration."""
         return OmegaConf.select(cfg, self.node)
 
     def present(self, cfg: DictConfig) -> bool:

@@ -52,15 +52,15 @@ def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
 
 
 def row_overrides(spec: dict[str, Any]) -> list[str]:
-    """Give the overrides that make a row of the defaults."""
+    """Return the overrides that make a row of the defaults."""
     method = [f"method={spec['method']}"] if "method" in spec else []
     return [f"source={spec['source']}", *method, *spec.get("overrides", [])]
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
     """Write table.md, table.csv, table.tex and index.html; an incomplete row's cells stay empty."""
-    from kinema.experiments.kept_samples import read_samples
-    from kinema.experiments.report import render
+    from kinema.report.motions import read_samples
+    from kinema.report.site import render
 
     some = next(row for row in rows if row.cfg is not None)
     paper = some.cfg.data.paper
@@ -102,7 +102,7 @@ def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
 
 
 def _results(row: TableRow) -> list[dict[str, Any]] | None:
-    """Give the metrics by replication: an empty list where one is missing, None where the method isn't in Kinema."""
+    """Return the metrics by replication: an empty list where one is missing, None where the method isn't in Kinema."""
     if row.place is None:
         return None
     if not row.complete:
@@ -147,7 +147,7 @@ BREAKDOWN_COLUMNS = [
 
 
 def _breakdowns(rows: list[TableRow], results: dict[str, list | None]) -> list[dict[str, Any]]:
-    """Give one table per manifest field: every row's metrics by the field's values."""
+    """Return one table per manifest field: every row's metrics by the field's values."""
     fields: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         if not results[row.spec["key"]] or "metrics" in row.spec:

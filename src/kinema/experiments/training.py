@@ -10,18 +10,18 @@ import torch
 from omegaconf import DictConfig
 from torch import nn
 
-from kinema import artifacts
-from kinema.build import build
-from kinema.compatibility import check_pair
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import attach_text, encode_captions, model_spec, read_model, text_encoder
-from kinema.experiments.runs import RunFolder, global_rank, write_json
-from kinema.experiments.samples import sample_drawer
+from kinema.experiments.previews import sample_drawer
 from kinema.experiments.stages import Stage
 from kinema.motion.representation import Representation
+from kinema.pipeline.compatibility import check_pair
+from kinema.runs import weights as artifacts
+from kinema.runs.build import build
+from kinema.runs.folder import RunFolder, global_rank, write_json
 from kinema.training.callbacks import Samples
 from kinema.training.fit import Machine, find_device, fit
 from kinema.training.latents import LatentCache
@@ -132,7 +132,7 @@ def make_module(
 
 
 def prepare(model: nn.Module, tokenizer: nn.Module, cache: LatentCache) -> None:
-    """Give a generator what it keeps of its tokenizer, and load the weights it starts from."""
+    """Return a generator what it keeps of its tokenizer, and load the weights it starts from."""
     if hasattr(model, "set_latent_range"):
         model.set_latent_range(*cache.range())
     if hasattr(model, "set_codebook"):
@@ -142,7 +142,7 @@ def prepare(model: nn.Module, tokenizer: nn.Module, cache: LatentCache) -> None:
 
 
 def crop_frames(batch: Any) -> Any:
-    """Give latents that hold the number of frames alone (the length estimator reads nothing else)."""
+    """Return latents that hold the number of frames alone (the length estimator reads nothing else)."""
     from kinema.types import Latents
 
     return Latents(lengths=batch.lengths // 4, frames=batch.lengths)

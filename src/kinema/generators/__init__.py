@@ -25,7 +25,7 @@ class Generator(Protocol):
         generator: torch.Generator | None = None,
         shard: tuple[int, int] = (0, 1),
     ) -> Losses:
-        """Give the training losses; draws come from `generator`, for the global batch of which this is `shard`."""
+        """Return the training losses; draws come from `generator`, for the global batch of which this is `shard`."""
 
     def sample(
         self,

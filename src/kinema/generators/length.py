@@ -25,7 +25,7 @@ class LengthEstimator(nn.Module):
         self.layers = nn.Sequential(*layers[:-1], nn.Linear(HIDDEN[-1], classes))
 
     def forward(self, text: Float[Tensor, "b t"]) -> Float[Tensor, "b classes"]:
-        """Give the logits of 0 .. classes-1 latents."""
+        """Return the logits of 0 .. classes-1 latents."""
         return self.layers(text)
 
     def loss(
@@ -36,7 +36,7 @@ class LengthEstimator(nn.Module):
         generator: torch.Generator | None = None,
         shard: tuple[int, int] = (0, 1),
     ) -> Losses:
-        """Give the cross entropy of the latents' counts; nothing is drawn from `generator`."""
+        """Return the cross entropy of the latents' counts; nothing is drawn from `generator`."""
         longest = int(latents.lengths.max())
         if longest >= self.classes:
             raise ValueError(

@@ -11,8 +11,8 @@ from torch.nn import functional as F
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import choice, unmask_tokens
-from kinema.generators.checks import check_codes, token_request
-from kinema.generators.token_transformer import TokenTransformer, code_losses, with_end
+from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
 from kinema.masking import lowest, masked_count, shrinking_counts
 from kinema.nn.mode import inference
 from kinema.types import Known, Latents, Losses, TextFeatures
@@ -73,7 +73,7 @@ class MmmDraws:
         return MmmDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})
 
 
-class MaskedMotionModel(nn.Module):
+class MMM(nn.Module):
     """Masked transformer over the codes of a tokenizer whose codebook it reads (MMM).
 
     In training a code is kept with probability `pkeep`, else replaced by a random one (-1: one probability per batch);
@@ -130,7 +130,7 @@ class MaskedMotionModel(nn.Module):
 
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
-        """Give the tokenizer's codebook (zeros until `set_codebook`)."""
+        """The tokenizer's codebook (zeros until `set_codebook`)."""
         return self.transformer.codebook
 
     def set_codebook(self, codebook: Float[Tensor, "k d"]) -> None:
@@ -140,7 +140,7 @@ class MaskedMotionModel(nn.Module):
     def forward(
         self, ids: Int[Tensor, "b n"], text: TextFeatures, lengths: Int[Tensor, " b"]
     ) -> Float[Tensor, "b m k"]:
-        """Give logits at the sentence, the n positions and the END slot (m = n + 2); padding is seen by none."""
+        """Return logits at the sentence, the n positions and the END slot (m = n + 2); padding is seen by none."""
         ids, visible = with_end(ids, lengths, self.codebook_size)
         return self.transformer(ids, text, F.pad(visible, (1, 0), value=True))
 
@@ -153,7 +153,7 @@ class MaskedMotionModel(nn.Module):
         shard: tuple[int, int] = (0, 1),
         draws: MmmDraws | None = None,
     ) -> Losses:
-        """Give the cross entropy of all codes, masked or not, mean per sample, then over the batch (MMM, Training).
+        """Return the cross entropy of all codes, masked or not, mean per sample, then over the batch (MMM, Training).
 
         Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
         `shard` = (rank, world); in eval mode no code is replaced. Dropout is torch's own. `draws` replaces them all

@@ -77,7 +77,7 @@ def load(kind: str, source: str | Path | Mapping[str, Any], /, **options: Any) -
 
 
 def find_kind(kind: str) -> Kind:
-    """Give a kind by its name; raises ValueError for an unknown one."""
+    """Return a kind by its name; raises ValueError for an unknown one."""
     if kind not in KINDS:
         raise ValueError(f"unknown kind of checkpoint {kind!r}; allowed: {', '.join(KINDS)}")
     return KINDS[kind]

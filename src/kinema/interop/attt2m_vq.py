@@ -37,7 +37,7 @@ def load(
     state[PARTS] = require(state, PARTS, kind=KIND).flatten(0, 1)
     net = network(state, KIND, variant)
     spec = {
-        "_target_": "kinema.tokenizers.vq.VectorQuantized",
+        "_target_": "kinema.tokenizers.vq.VQVAE",
         **net,
         "encoder": {
             "_target_": "kinema.tokenizers.body_parts.BodyPartEncoder",

@@ -11,7 +11,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from kinema.generators.bad import BidirectionalAutoregressive
+from kinema.generators.bad.model import BAD
 from kinema.interop import token_transformer
 from kinema.interop.checkpoint import require, transfer
 
@@ -57,7 +57,7 @@ def load(
     if from_mmm:
         state[TABLE] = state[TABLE][[0, 1, *[2] * MASKS]]
     spec = {
-        "_target_": "kinema.generators.bad.BidirectionalAutoregressive",
+        "_target_": "kinema.generators.bad.BAD",
         **token_transformer.sizes(state, kind),
         "heads": heads,
         "dropout": dropout,
@@ -67,7 +67,7 @@ def load(
         "unmasked_see_masks": unmasked_see_masks,
         "max_latents": len(state[TABLE]) - MMM_ROWS,
         "downsample": downsample,
-        "sampling": {"_target_": "kinema.generators.bad_sampling.BadSampling", **(sampling or {})},
+        "sampling": {"_target_": "kinema.generators.bad.BadSampling", **(sampling or {})},
     }
     rules = [(re.escape(theirs), ours) for theirs, ours in time_names().items()]
     return transfer(spec, state, [*rules, *token_transformer.rules(state)], kind=kind)
@@ -79,8 +79,8 @@ def tokenizer(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
 
 
-def export(model: BidirectionalAutoregressive) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys; of the tokenizer inside, the codebook alone."""
+def export(model: BAD) -> dict[str, Tensor]:
+    """Return a model's weights under the published keys; of the tokenizer inside, the codebook alone."""
     own = model.state_dict()
     state = token_transformer.export(model.transformer, model.max_latents + 1 + model.conditions)
     if model.count_embedding is not None:

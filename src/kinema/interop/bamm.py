@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinema.generators.bamm import BidirectionalAutoregressive
+from kinema.generators.bamm.model import BAMM
 from kinema.interop.checkpoint import count, require, transfer
 from kinema.interop.gpt import BLOCK
 from kinema.interop.momask import (
@@ -53,7 +53,7 @@ def load(
     pre = layers > 0
     sizes = _pre_sizes(state, layers, kind) if pre else encoder_spec(state, kind)
     spec = {
-        "_target_": "kinema.generators.bamm.BidirectionalAutoregressive",
+        "_target_": "kinema.generators.bamm.BAMM",
         "codebook_size": len(table) - 3,
         **sizes,
         "heads": heads,
@@ -62,15 +62,15 @@ def load(
         "norm": "pre" if pre else "post",
         "max_latents": max_latents,
         "downsample": downsample,
-        "sampling": {"_target_": "kinema.generators.bamm_sampling.BammSampling", **(sampling or {})},
+        "sampling": {"_target_": "kinema.generators.bamm.BammSampling", **(sampling or {})},
     }
     rules = [(re.escape(theirs), ours) for theirs, ours in names(sizes["layers"], pre=pre).items()]
     rules += [(r"token_emb\.weight", "token_embedding.weight"), (r"position_enc\.pe", None)]
     return transfer(spec, {**split_attention(state), "token_emb.weight": table[:-1]}, rules, kind=kind)
 
 
-def export(model: BidirectionalAutoregressive) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys, the row of MASK being zeros."""
+def export(model: BAMM) -> dict[str, Tensor]:
+    """Return a model's weights under the published keys, the row of MASK being zeros."""
     table = model.token_embedding.weight.detach()
     state = {"token_emb.weight": torch.cat((table, torch.zeros_like(table[:1])))}
     if not model.encoder.blocks[0].pre:

@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from kinema.build import build
+from kinema.runs.build import build
 
 Rules = Sequence[tuple[str, str | None]]
 """Pattern of a whole published key -> our key (`\\1` inserts groups), or None for a key that is not needed."""
@@ -118,7 +118,7 @@ def transfer(
 
 
 def require(state: Mapping[str, Tensor], key: str, *, kind: str) -> Tensor:
-    """Give the tensor that sizes are derived from, or say that this is no such checkpoint."""
+    """Return the tensor that sizes are derived from, or say that this is no such checkpoint."""
     if key not in state:
         raise ValueError(f"this state dict is not that of a {kind!r}: {key!r} is missing; it holds {_few(list(state))}")
     return state[key]

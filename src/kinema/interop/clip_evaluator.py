@@ -47,7 +47,7 @@ def load(state: Mapping[str, Tensor], *, statistics: Any = None, heads: int = 8,
 
 
 def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:
-    """Give the entry of a published file from a ContrastiveEvaluator.
+    """Return the entry of a published file from a ContrastiveEvaluator.
 
     Raises ValueError if it owns no token embedding or projects it.
     """

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinema.generators.gpt import CausalTransformer
+from kinema.generators.gpt.model import T2MGPT
 from kinema.interop.checkpoint import count, require, transfer
 from kinema.nn.embeddings import sinusoidal_positions
 
@@ -65,7 +65,7 @@ def load(
     base, head = (count(state, rf"trans_{part}\.blocks\.(\d+)\.") for part in ("base", "head"))
     classes, width = require(state, "trans_head.head.weight", kind=kind).shape
     spec = {
-        "_target_": "kinema.generators.gpt.CausalTransformer",
+        "_target_": "kinema.generators.gpt.T2MGPT",
         "codebook_size": classes - 1,
         "text_dim": require(state, "trans_base.cond_emb.weight", kind=kind).shape[1],
         "token_dim": require(state, "trans_base.word_emb.weight", kind=kind).shape[1] if cross else None,
@@ -79,7 +79,7 @@ def load(
         "words": words,
         "max_latents": max_latents,
         "downsample": downsample,
-        "sampling": {"_target_": "kinema.generators.gpt_sampling.GptSampling", **(sampling or {})},
+        "sampling": {"_target_": "kinema.generators.gpt.GptSampling", **(sampling or {})},
     }
     rules = [(re.escape(theirs), ours) for theirs, ours in names(base, head, cross).items()]
     # Constants, and a table of positions that no published forward reads.
@@ -87,8 +87,8 @@ def load(
     return transfer(spec, state, rules, kind=kind)
 
 
-def export(model: CausalTransformer, *, positions: int = 51, words: int = 77) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys, its constants included; half of the blocks are the base's."""
+def export(model: T2MGPT, *, positions: int = 51, words: int = 77) -> dict[str, Tensor]:
+    """Return a model's weights under the published keys, its constants included; half of the blocks are the base's."""
     own, device = model.state_dict(), model.head.weight.device
     base, cross = len(model.blocks) // 2, len(model.cross_blocks)
     head = len(model.blocks) - base

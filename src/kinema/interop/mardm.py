@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinema.generators.mar import MaskedAutoregressive
+from kinema.generators.mar.model import MARDM
 from kinema.interop.checkpoint import count, require, transfer
 from kinema.nn.embeddings import sinusoidal_positions
 
@@ -70,7 +70,7 @@ def load(
     layers = count(state, r"MARTransformer\.(\d+)\.")
     depth = count(state, r"DiffMLPs\.net\.res_blocks\.(\d+)\.")
     spec = {
-        "_target_": "kinema.generators.mar.MaskedAutoregressive",
+        "_target_": "kinema.generators.mar.MARDM",
         "latent_dim": latent_dim,
         "text_dim": require(state, "cond_emb.weight", kind=kind).shape[1],
         "width": width,
@@ -96,8 +96,8 @@ def load(
     return transfer(spec, {**state, **flat, **unknown_range}, rules, kind=kind)
 
 
-def export(model: MaskedAutoregressive) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys, the table of positions included."""
+def export(model: MARDM) -> dict[str, Tensor]:
+    """Return a model's weights under the published keys, the table of positions included."""
     own = model.state_dict()
     state = {theirs: own[ours] for theirs, ours in names(len(model.blocks), len(model.mlp.blocks)).items()}
     width = model.input_projection.out_features

@@ -10,7 +10,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from kinema.generators.mmm import SPECIALS, MaskedMotionModel
+from kinema.generators.mmm import MMM, SPECIALS
 from kinema.interop import token_transformer
 from kinema.interop.checkpoint import require, transfer
 
@@ -37,7 +37,7 @@ def load(
     if rows != SPECIALS:
         raise ValueError(f"this file has {rows - 2} mask tokens where MMM has one: load it as 'bad'")
     spec = {
-        "_target_": "kinema.generators.mmm.MaskedMotionModel",
+        "_target_": "kinema.generators.mmm.MMM",
         **token_transformer.sizes(state, kind),
         "heads": heads,
         "dropout": dropout,
@@ -50,6 +50,6 @@ def load(
     return transfer(spec, state, token_transformer.rules(state), kind=kind)
 
 
-def export(model: MaskedMotionModel) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys; of the tokenizer inside, the codebook alone."""
+def export(model: MMM) -> dict[str, Tensor]:
+    """Return a model's weights under the published keys; of the tokenizer inside, the codebook alone."""
     return token_transformer.export(model.transformer, model.max_latents + 2)

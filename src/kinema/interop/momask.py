@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinema.generators.momask import MaskedTransformer
-from kinema.generators.token_encoder import TokenEncoder
+from kinema.generators.momask.model import MoMask
+from kinema.generators.tokens.encoder import TokenEncoder
 from kinema.interop.checkpoint import Rules, count, require, transfer
 from kinema.nn.embeddings import sinusoidal_positions
 
@@ -44,7 +44,7 @@ def encoder_names(layers: int) -> dict[str, str]:
 
 
 def encoder_rules(layers: int) -> Rules:
-    """Give the shared encoder's renaming rules, for a state after `split_attention`; its table is computed by us."""
+    """Return the shared encoder's renaming rules, for a state after `split_attention`; its table is computed by us."""
     return [(re.escape(theirs), ours) for theirs, ours in encoder_names(layers).items()] + [(r"position_enc\.pe", None)]
 
 
@@ -73,7 +73,7 @@ def split_attention(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def export_encoder(encoder: TokenEncoder) -> dict[str, Tensor]:
-    """Give the shared encoder's weights under the published keys, the table of positions included."""
+    """Return the shared encoder's weights under the published keys, the table of positions included."""
     own, layers = encoder.state_dict(), len(encoder.blocks)
     state = {theirs: own[ours.removeprefix("encoder.")] for theirs, ours in encoder_names(layers).items()}
     for i in range(layers):
@@ -98,7 +98,7 @@ def load(
     kind = "momask"
     encoder = encoder_spec(state, kind)
     spec = {
-        "_target_": "kinema.generators.momask.MaskedTransformer",
+        "_target_": "kinema.generators.momask.MoMask",
         "codebook_size": require(state, "token_emb.weight", kind=kind).shape[0] - 2,
         **encoder,
         "heads": heads,
@@ -112,6 +112,6 @@ def load(
     return transfer(spec, split_attention(state), rules, kind=kind)
 
 
-def export(model: MaskedTransformer) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys."""
+def export(model: MoMask) -> dict[str, Tensor]:
+    """Return a model's weights under the published keys."""
     return export_encoder(model.encoder) | {"token_emb.weight": model.token_embedding.weight.detach()}

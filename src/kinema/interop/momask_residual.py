@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinema.generators.residual import ResidualTransformer
+from kinema.generators.momask.residual import ResidualTransformer
 from kinema.interop.checkpoint import require, transfer
 from kinema.interop.momask import encoder_rules, encoder_spec, export_encoder, split_attention
 
@@ -32,7 +32,7 @@ def load(
     kind = "momask-residual"
     encoder, (tables, names) = encoder_spec(state, kind), _tables(state, kind)
     spec = {
-        "_target_": "kinema.generators.residual.ResidualTransformer",
+        "_target_": "kinema.generators.momask.ResidualTransformer",
         "codebook_size": tables["tables"].shape[1] - 1,
         "quantizers": require(state, "quant_emb.weight", kind=kind).shape[1],
         "share_weights": "score_tables" not in tables,
@@ -42,7 +42,7 @@ def load(
         "condition_drop": condition_drop,
         "max_latents": max_latents,
         "downsample": downsample,
-        "sampling": {"_target_": "kinema.generators.residual.ResidualSampling", **(sampling or {})},
+        "sampling": {"_target_": "kinema.generators.momask.ResidualSampling", **(sampling or {})},
     }
     rules = [*encoder_rules(encoder["layers"]), (r"quant_emb\.(weight|bias)", r"layer_projection.\1")]
     rules += [(name, name) for name in tables]
@@ -51,7 +51,7 @@ def load(
 
 
 def export(model: ResidualTransformer) -> dict[str, Tensor]:
-    """Give a model's weights under the published keys."""
+    """Return a model's weights under the published keys."""
     own = model.state_dict()
     state = {f"quant_emb.{t}": own[f"layer_projection.{t}"] for t in ("weight", "bias")}
     if model.score_tables is None:
@@ -64,7 +64,7 @@ def export(model: ResidualTransformer) -> dict[str, Tensor]:
 
 
 def _tables(state: Mapping[str, Tensor], kind: str) -> tuple[dict[str, Tensor], tuple[str, ...]]:
-    """Give our tables and the published keys they come from; the last row of the biases is used by no layer."""
+    """Return our tables and the published keys they come from; the last row of the biases is used by no layer."""
     if SHARED[0] in state:
         return {"tables": torch.cat([require(state, name, kind=kind) for name in SHARED])}, SHARED
     embedding, scores, bias = (require(state, name, kind=kind) for name in SEPARATE)

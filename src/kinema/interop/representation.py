@@ -1,4 +1,4 @@
-"""Give an imported model its representation: from the width of its input, fitted to statistics the caller brings."""
+"""Return an imported model its representation: from the width of its input, fitted to statistics the caller brings."""
 
 from __future__ import annotations
 

@@ -9,10 +9,12 @@ from typing import Any
 
 from torch import nn
 
-from kinema import artifacts, interop
-from kinema.compatibility import check_pair, check_stages
-from kinema.folders import load_part, new_folder, write_json
+from kinema import interop
+from kinema.generators.momask.cascade import check_stages
 from kinema.interop import Kind, find_kind
+from kinema.pipeline.compatibility import check_pair
+from kinema.runs import weights as artifacts
+from kinema.runs.parts import load_part, new_folder, write_json
 from kinema.text.clip import WHOLE
 from kinema.text.encoders import ENCODERS
 

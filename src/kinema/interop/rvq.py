@@ -30,7 +30,7 @@ def load(
     kind = "momask-rvq"
     net = network(state, kind, variant)
     spec = {
-        "_target_": "kinema.tokenizers.vq.VectorQuantized",
+        "_target_": "kinema.tokenizers.vq.VQVAE",
         **net,
         "quantizer": {
             "_target_": "kinema.tokenizers.rvq.ResidualQuantizer",

@@ -72,7 +72,7 @@ def load_decomposition(state: Mapping[str, Tensor], *, statistics: Any = None, v
 
 
 def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:
-    """Give the entries of a published `finest.tar` from a MatchingEvaluator."""
+    """Return the entries of a published `finest.tar` from a MatchingEvaluator."""
     return {name: _part(module, name) for name in ("movement_encoder", "text_encoder", "motion_encoder")}
 
 

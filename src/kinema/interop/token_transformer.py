@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kinema.generators.token_transformer import TokenTransformer
+from kinema.generators.tokens.transformer import TokenTransformer
 from kinema.interop.checkpoint import Rules, count, require
 from kinema.interop.gpt import BLOCK, CROSS_BLOCK
 from kinema.nn.embeddings import sinusoidal_positions
@@ -40,7 +40,7 @@ def names(cross: int, base: int, head: int) -> dict[str, str]:
 
 
 def rules(state: Mapping[str, Tensor]) -> Rules:
-    """Give the renaming rules; of the tokenizer inside, the codebook alone is taken, constants are computed by us."""
+    """Return the renaming rules; of the tokenizer inside, the codebook alone is taken, constants are computed by us."""
     renamed = [(re.escape(theirs), ours) for theirs, ours in names(*_depths(state)).items()]
     return [*renamed, (rf"{re.escape(TOKENIZER)}.+|.+\.attn\.mask|trans_base\.pos_embed(ding)?\..+", None)]
 
@@ -64,7 +64,7 @@ def sizes(state: Mapping[str, Tensor], kind: str) -> dict[str, Any]:
 
 
 def export(transformer: TokenTransformer, positions: int) -> dict[str, Tensor]:
-    """Give the weights under the published keys with their constants; of the tokenizer inside, the codebook alone."""
+    """Return the weights under the published keys with their constants; of the tokenizer inside, the codebook alone."""
     parts = (transformer.cross_blocks, transformer.base_blocks, transformer.head_blocks)
     own, device = transformer.state_dict(), transformer.codebook.device
     width = transformer.head.in_features

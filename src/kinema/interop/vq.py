@@ -38,7 +38,7 @@ def load(
     state = {k.removeprefix("vqvae."): v for k, v in state.items()}
     size, dim = require(state, "quantizer.codebook", kind=kind).shape
     spec = {
-        "_target_": "kinema.tokenizers.vq.VectorQuantized",
+        "_target_": "kinema.tokenizers.vq.VQVAE",
         **network(state, kind, variant),
         "quantizer": {
             "_target_": "kinema.tokenizers.codebook.EMACodebook",

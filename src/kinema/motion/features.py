@@ -80,7 +80,7 @@ def to_facing(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[n
 
 
 def heading(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, " t"]:
-    """Give the yaw that takes each frame's smoothed forward direction to +Z; 0 at frame 0 (§3.6).
+    """Return the yaw that takes each frame's smoothed forward direction to +Z; 0 at frame 0 (§3.6).
 
     The hip vector enters with the opposite sign of the shoulder vector: a published bug that the data carry.
     """
@@ -101,7 +101,7 @@ def contacts(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Bool[np.
 def local_rotations(
     joints: Float[np.ndarray, "t j 3"], yaw: Float[np.ndarray, " t"], skeleton: Skeleton
 ) -> Float[np.ndarray, "t j 3 3"]:
-    """Give each bone's orientation relative to its chain predecessor's; joint 0 holds the heading (§3.9).
+    """Return each bone's orientation relative to its chain predecessor's; joint 0 holds the heading (§3.9).
 
     A bone's orientation is the shortest arc from its rest direction, so it knows nothing of twist.
     """
@@ -121,7 +121,7 @@ def _forward(across: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, "t 3"]:
 
 
 def _yaw_to_front(forward: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, " t"]:
-    """Give the yaw that takes each direction to +Z; 0 for a zero direction."""
+    """Return the yaw that takes each direction to +Z; 0 for a zero direction."""
     return -np.arctan2(forward[..., 0], forward[..., 2])
 
 

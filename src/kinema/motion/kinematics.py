@@ -29,7 +29,7 @@ def place_joints(
 def uniform_skeleton(
     joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton, target_bone_lengths: np.ndarray
 ) -> Float[np.ndarray, "t j 3"]:
-    """Give the clip the target's bone lengths (J,), keeping bone directions (HUMANML3D_DATA §3.1).
+    """Return the clip the target's bone lengths (J,), keeping bone directions (HUMANML3D_DATA §3.1).
 
     The root path is scaled by the ratio of the target's leg (knee and ankle bones) to that of frame 0.
     """

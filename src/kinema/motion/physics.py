@@ -28,7 +28,7 @@ SLIDING_SPEED = 0.5
 def foot_skating(
     joints: Float[Tensor, "b t j 3"], lengths: Int[Tensor, " b"], skeleton: Skeleton
 ) -> Float[Tensor, " b"]:
-    """Give the share of toe contacts that slide, in [0, 1]; 0 for a clip without contact.
+    """Return the share of toe contacts that slide, in [0, 1]; 0 for a clip without contact.
 
     `joints` are in the skeleton's unit, at its frame rate, with the floor at y = 0.
     """
@@ -44,7 +44,7 @@ def foot_skating(
 def jitter(
     joints: Float[Tensor, "b t j 3"], lengths: Int[Tensor, " b"], fps: float, unit: str = "m"
 ) -> Float[Tensor, " b"]:
-    """Give the mean magnitude of the third derivative of positions, m/s^3; 0 for clips of fewer than 4 frames.
+    """Return the mean magnitude of the third derivative of positions, m/s^3; 0 for clips of fewer than 4 frames.
 
     `unit` is the joints' ("m" or "mm"; a skeleton knows its own).
     """
@@ -56,7 +56,7 @@ def jitter(
 
 
 def heading_at(features: Float[Tensor, "b t d"], frames: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
-    """Give the signed heading that each motion has turned through when frame `frames` begins, radians, unwrapped.
+    """Return the signed heading that each motion has turned through when frame `frames` begins, radians, unwrapped.
 
     It is the yaw of recovery: positive is a turn to the character's right (clockwise seen from above).
     """
@@ -64,17 +64,17 @@ def heading_at(features: Float[Tensor, "b t d"], frames: Int[Tensor, " b"]) -> F
 
 
 def turn_angle(features: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
-    """Give the signed total turn over all rows, radians: L rows span the L+1 poses they came from."""
+    """Return the signed total turn over all rows, radians: L rows span the L+1 poses they came from."""
     return heading_at(features, lengths)
 
 
 def root_speed(features: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
-    """Give the mean horizontal speed of the root, skeleton units per frame."""
+    """Return the mean horizontal speed of the root, skeleton units per frame."""
     return _masked_mean(features[..., 1:3].norm(dim=-1), frame_mask(lengths, features.shape[1]))
 
 
 def root_velocity_std(features: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
-    """Give the population deviation over frames of the horizontal root velocity, skeleton units per frame."""
+    """Return the population deviation over frames of the horizontal root velocity, skeleton units per frame."""
     mask = frame_mask(lengths, features.shape[1])
     velocity = features[..., 1:3]
     mean = torch.stack([_masked_mean(velocity[..., axis], mask) for axis in (0, 1)], dim=-1)

@@ -38,7 +38,7 @@ class Representation(nn.Module):
 
     @property
     def skeleton(self) -> Skeleton:
-        """Give the skeleton that the features describe."""
+        """The skeleton that the features describe."""
         return get_skeleton(self.skeleton_name)
 
     @property

@@ -47,12 +47,12 @@ class Skeleton:
 
     @property
     def feature_width(self) -> int:
-        """Give the width of the full (redundant) feature row: 12 J - 1."""
+        """The width of the full (redundant) feature row: 12 J - 1."""
         return self.groups["contacts"].stop
 
     @property
     def essential_width(self) -> int:
-        """Give the width of the essential part, root and joint positions: 3 J + 1 (MARDM §1)."""
+        """The width of the essential part, root and joint positions: 3 J + 1 (MARDM §1)."""
         return self.groups["joints"].stop
 
     @cached_property
@@ -73,7 +73,7 @@ class Skeleton:
 
     @cached_property
     def rotation_parents(self) -> tuple[int, ...]:
-        """Give the joint whose orientation a rotation feature is relative to: 0, the heading, at every chain's start.
+        """The joint whose orientation a rotation feature is relative to: 0, the heading, at every chain's start.
 
         The arm chains hang on the heading too, not on the spine they start from (an official quirk, §3.9).
         """
@@ -84,7 +84,7 @@ class Skeleton:
 
     @cached_property
     def ancestry(self) -> np.ndarray:
-        """Give the (J, J) matrix with 1 where bone k lies on the path from the root to joint j (root bone excluded)."""
+        """The (J, J) matrix with 1 where bone k lies on the path from the root to joint j (root bone excluded)."""
         paths = np.zeros((self.num_joints, self.num_joints))
         for chain in self.chains:
             for parent, child in pairwise(chain):
@@ -95,7 +95,7 @@ class Skeleton:
 
     @property
     def meters(self) -> float:
-        """Give the factor from `unit` to metres."""
+        """The factor from `unit` to metres."""
         return {"m": 1.0, "mm": 1e-3}[self.unit]
 
 

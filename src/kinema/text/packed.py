@@ -58,14 +58,14 @@ class PackedFeatures:
 
     @property
     def ends(self) -> np.ndarray:
-        """Give the row in `tokens` behind the last token of each text, 0 in front."""
+        """The row in `tokens` behind the last token of each text, 0 in front."""
         if len(self._ends_array) != len(self._ends):
             self._ends_array = np.array(self._ends)
         return self._ends_array
 
     @property
     def rows(self) -> int:
-        """Give the number of records."""
+        """The number of records."""
         return len(self._ends) - 1
 
     def refresh(self) -> None:

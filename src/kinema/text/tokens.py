@@ -45,7 +45,7 @@ class TokenTable:
 
     @property
     def context(self) -> int:
-        """Give the number of ids of a text."""
+        """The number of ids of a text."""
         return len(self.positional)
 
     def __call__(self, texts: list[str]) -> Int[Tensor, "b l"]:
@@ -55,7 +55,7 @@ class TokenTable:
         return ids
 
     def end_positions(self, ids: Int[Tensor, "b l"]) -> Int[Tensor, " b"]:
-        """Give the position of each text's first end token."""
+        """Return the position of each text's first end token."""
         return (ids == self.end).int().argmax(1)
 
 

@@ -34,12 +34,12 @@ _INDEX = {name: i for i, name in enumerate(POS)}
 
 
 def pos_index(word: str, tag: str) -> int:
-    """Give the class (0..14) of a word of the vocabulary: its VIP class, else its tag, else OTHER."""
+    """Return the class (0..14) of a word of the vocabulary: its VIP class, else its tag, else OTHER."""
     return _INDEX.get(_CLASS_OF_WORD.get(word, tag), _INDEX[OTHER])
 
 
 def sentence(caption: Caption) -> tuple[list[tuple[str, str]], int]:
-    """Give a caption's 22 (word, tag) pairs and their number without padding.
+    """Return a caption's 22 (word, tag) pairs and their number without padding.
 
     At most 20 words stand between `sos` and `eos`; `unk` fills up.
     """

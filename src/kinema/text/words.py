@@ -82,7 +82,7 @@ class WordVectors:
         return self._remembered[caption]
 
     def _row(self, word: str) -> int | None:
-        """Give the row of a word in the table of the words met so far."""
+        """Return the row of a word in the table of the words met so far."""
         if word not in self._row_of:
             vector = self._lookup(word)
             self._row_of[word] = None if vector is None else self._size

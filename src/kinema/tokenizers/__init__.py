@@ -23,7 +23,7 @@ class MotionTokenizer(Protocol):
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Give the training losses, `loss` first; draws come from `generator`, for the global batch, as in `shard`."""
+        """Return the training losses, `loss` first; draws come from `generator`, for the batch that `shard` is of."""
         ...
 
     def encode(self, motion: MotionBatch) -> Latents:

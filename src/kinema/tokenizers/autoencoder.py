@@ -50,7 +50,7 @@ class AutoEncoder(nn.Module):
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Give SmoothL1 over all dims plus `joint_weight` times SmoothL1 over the joint positions (MARDM §3).
+        """Return SmoothL1 over all dims plus `joint_weight` times SmoothL1 over the joint positions (MARDM §3).
 
         The paper's Eq. 8 is L1; the published code, which this follows, takes SmoothL1 and adds the joints' term.
         `root_weight` adds the same term for the four root dims (not published: 0): a small autoencoder spends little on
@@ -96,7 +96,7 @@ class AutoEncoder(nn.Module):
         return self.decoder(z, self._padded(lengths, z.shape[1]))
 
     def _padded(self, lengths: Int[Tensor, " b"], size: int) -> Int[Tensor, " b"] | None:
-        """Give the lengths if something has to be masked."""
+        """Return the lengths if something has to be masked."""
         return lengths if self.mask_padding and bool((lengths < size).any()) else None
 
 

@@ -76,7 +76,7 @@ class BodyPartEncoder(nn.Module):
         return self.conv(self.part_tokens(x).flatten(2), lengths)
 
     def part_tokens(self, x: Float[Tensor, "b t d"]) -> Float[Tensor, "b t p w"]:
-        """Give what each part's token has read from its frame."""
+        """Return what each part's token has read from its frame."""
         nodes = self.token(self.nodes(x).flatten(0, 1))
         count, width = nodes.shape[1:]
         nodes = self.dropout(nodes * math.sqrt(width) + sinusoidal_positions(count, width, x.device).to(nodes.dtype))

@@ -1,6 +1,6 @@
 """Quantise vectors by a codebook that follows running means of what each code is chosen for (COMMON §4).
 
-A quantiser is a module that `VectorQuantized` puts between its encoder and decoder (protocol `Quantizer`): this
+A quantiser is a module that `VQVAE` puts between its encoder and decoder (protocol `Quantizer`): this
 codebook, a stack of them (rvq.py), or one that learns nothing.
 """
 
@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
-from kinema.tokenizers.ranks import gather_rows, largest
+from kinema.nn.ranks import gather_rows, largest
 
 RESETS = ("always", "unused")
 PERIOD = 20
@@ -50,7 +50,7 @@ class Quantizer(Protocol):
 
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
-        """Give the code vectors (of the first layer)."""
+        """The code vectors (of the first layer)."""
 
     def __call__(
         self,
@@ -62,7 +62,7 @@ class Quantizer(Protocol):
         """Quantise, and learn if in training mode; draws come from `generator`, for the global batch."""
 
     def lookup(self, codes: Int[Tensor, "b n q"]) -> Float[Tensor, "b n d"]:
-        """Give the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
+        """Return the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
 
 
 @dataclass
@@ -162,7 +162,7 @@ class EMACodebook(nn.Module):
             return quantized
 
     def lookup(self, codes: Int[Tensor, "b n 1"]) -> Float[Tensor, "b n d"]:
-        """Give the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
+        """Return the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
         wrong = codes[(codes < -1) | (codes >= self.codebook_size)]
         if len(wrong):
             raise ValueError(
@@ -203,7 +203,7 @@ class EMACodebook(nn.Module):
     def _quantize(
         self, z: Float[Tensor, "b n d"], real: Bool[Tensor, "b n"], codes: Int[Tensor, "b n"], world: int = 1
     ) -> tuple[Quantized, Int[Tensor, " m"]]:
-        """Give the result and the codes of all ranks' real rows."""
+        """Return the result and the codes of all ranks' real rows."""
         codes = codes.masked_fill(~real, 0)
         nearest = F.embedding(codes, self.codebook)
         mask = real[..., None]
@@ -274,6 +274,6 @@ def tile(rows: Float[Tensor, "m d"], size: int, noise: Float[Tensor, "n d"] | No
 
 
 def perplexity(codes: Shaped[Tensor, " m"], size: int) -> Float[Tensor, ""]:
-    """Give the exponential of the entropy of the codes in use: about how many are used evenly."""
+    """Return the exponential of the entropy of the codes in use: about how many are used evenly."""
     share = torch.bincount(codes, minlength=size).float() / max(len(codes), 1)
     return torch.exp(-(share * torch.log(share + 1e-7)).sum())

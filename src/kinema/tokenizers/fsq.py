@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from kinema.nn.ranks import gather_rows
 from kinema.tokenizers.codebook import EMACodebook, Quantized, perplexity
-from kinema.tokenizers.ranks import gather_rows
 
 FEWEST = 3
 """Least number of levels: two lie unevenly about zero."""
@@ -48,7 +48,7 @@ class FiniteScalarQuantizer(nn.Module):
 
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
-        """Give the code vectors, computed anew: the output projection of all combinations."""
+        """The code vectors, computed anew: the output projection of all combinations."""
         device = self.counts.device
         return self.fsq.indices_to_codes(torch.arange(self.codebook_size, device=device)).detach()
 

@@ -41,12 +41,12 @@ class ResidualQuantizer(nn.Module):
 
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
-        """Give the code vectors of the first layer."""
+        """The code vectors of the first layer."""
         return self.layers[0].codebook
 
     @property
     def codebooks(self) -> Float[Tensor, "q k d"]:
-        """Give the code vectors of all layers."""
+        """The code vectors of all layers."""
         return torch.stack([layer.codebook for layer in self.layers])
 
     def forward(

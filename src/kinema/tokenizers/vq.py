@@ -16,7 +16,7 @@ from kinema.types import Latents, Losses, MotionBatch, frame_mask
 AUXILIARIES = ("joints", "velocities")
 
 
-class VectorQuantized(nn.Module):
+class VQVAE(nn.Module):
     """Encode motion (b, t, d) to codes (b, t // 4, q) and back (COMMON §3, §4; T2M-GPT, Tokenizer).
 
     `quantizer` (kinema.tokenizers.codebook.Quantizer; default T2M-GPT's codebook) has `codebook_size` codes of
@@ -65,18 +65,18 @@ class VectorQuantized(nn.Module):
 
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
-        """Give the code vectors (of the first layer)."""
+        """The code vectors (of the first layer)."""
         return self.quantizer.codebook
 
     @property
     def codebooks(self) -> Float[Tensor, "q k d"]:
-        """Give the code vectors of all layers."""
+        """The code vectors of all layers."""
         return getattr(self.quantizer, "codebooks", self.quantizer.codebook[None])
 
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Give SmoothL1 over all dims plus weighted terms: the auxiliary columns' and the commitment (COMMON §4).
+        """Return SmoothL1 over all dims plus weighted terms: the auxiliary columns' and the commitment (COMMON §4).
 
         Beside them stand `perplexity` and `dead_codes`, which nothing minimises. In training mode the quantiser learns.
         Means run over real frames and positions; draws are made for the global batch, as in the protocol.
@@ -133,7 +133,7 @@ class VectorQuantized(nn.Module):
         return self.decoder(z, self._padded(lengths, z.shape[1]))
 
     def _padded(self, lengths: Int[Tensor, " b"], size: int) -> Int[Tensor, " b"] | None:
-        """Give the lengths if something has to be masked."""
+        """Return the lengths if something has to be masked."""
         return lengths if self.mask_padding and bool((lengths < size).any()) else None
 
 

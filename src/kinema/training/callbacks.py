@@ -36,12 +36,12 @@ class EMA(WeightAveraging):
         self._average_model.to(pl_module.device)
 
     def averaged(self) -> LightningModule:
-        """Give the averaged copy of the module."""
+        """Return the averaged copy of the module."""
         return self._average_model.module
 
 
 def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tensor]:
-    """Give the weights that are validated and kept: averaged ones where there is averaging."""
+    """Return the weights that are validated and kept: averaged ones where there is averaging."""
     averaging = [c for c in trainer.callbacks if isinstance(c, EMA)]
     source = averaging[0].averaged() if averaging else module
     return {k: v.detach().cpu().clone() for k, v in source.model.state_dict().items()}
@@ -63,7 +63,7 @@ class BestWeights(Callback):
             self.weights = selected_state(trainer, pl_module)
 
     def state_dict(self) -> dict[str, Any]:
-        """Give the selection so far."""
+        """Return the selection so far."""
         return {"value": self.value, "step": self.step, "weights": self.weights}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
@@ -109,7 +109,7 @@ class RunRecord(Callback):
 
     @property
     def seconds(self) -> float:
-        """Give the seconds of training up to now, earlier parts of the run included."""
+        """The seconds of training up to now, earlier parts of the run included."""
         return self.spent + time.monotonic() - self.started
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
@@ -145,7 +145,7 @@ class RunRecord(Callback):
                 file.write(json.dumps(line) + "\n")
 
     def state_dict(self) -> dict[str, Any]:
-        """Give the seconds spent so far."""
+        """Return the seconds spent so far."""
         return {"seconds": self.seconds}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

@@ -49,7 +49,7 @@ class LatentCache:
         return Latents(lengths=lengths, frames=batch.lengths, **{"codes" if self.discrete else "values": found})
 
     def range(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Give the least and greatest value of each latent dimension."""
+        """Return the least and greatest value of each latent dimension."""
         low, high = np.full(self.dim, np.inf, np.float32), np.full(self.dim, -np.inf, np.float32)
         for start in range(0, len(self.values), 65536):
             block = self.values[start : start + 65536]

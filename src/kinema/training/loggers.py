@@ -12,7 +12,7 @@ NAMES = ("csv", "tensorboard", "wandb")
 
 @contextlib.contextmanager
 def loggers(names: list[str], folder: Path, *, project: str, mode: str, config: dict[str, Any]) -> Iterator[list[Any]]:
-    """Give the loggers and close them, also after a failure (or the next run would log into this one).
+    """Return the loggers and close them, also after a failure (or the next run would log into this one).
 
     Raises ValueError for an unknown name.
     """

@@ -29,13 +29,13 @@ class Unregistered:
 
 
 class LatentSource(Protocol):
-    """Give the latents of a batch of crops (encoded, or looked up)."""
+    """Return the latents of a batch of crops (encoded, or looked up)."""
 
     def __call__(self, batch: MotionBatch) -> Latents: ...
 
 
 class TextSource(Protocol):
-    """Give the text features of strings."""
+    """Return the text features of strings."""
 
     def __call__(self, texts: list[str]) -> TextFeatures: ...
 
@@ -57,7 +57,7 @@ class StageModule(LightningModule):
         self.call = Unregistered(None)
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
-        """Give the named losses of one batch."""
+        """Return the named losses of one batch."""
         raise TypeError(f"{type(self).__name__} is abstract: use TokenizerModule, GeneratorModule or EvaluatorModule")
 
     def model_loss(self, *args: Any, **kwargs: Any) -> Losses:

@@ -55,7 +55,7 @@ class Recipe:
                 raise ValueError(f"train.{name}={getattr(self, name)}; it must be at least 1")
 
     def factor(self, step: int) -> float:
-        """Give the factor on the learning rate at an optimiser step (from 0)."""
+        """Return the factor on the learning rate at an optimiser step (from 0)."""
         warm = min(step + 2, self.warmup) / (self.warmup + 1) if self.warmup else 1.0
         if self.decay == "cosine":
             progress = min(1.0, step / max(1, self.steps))

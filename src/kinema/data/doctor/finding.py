@@ -44,6 +44,6 @@ def format(findings: Iterable[Finding]) -> str:
 
 
 def exit_code(findings: Iterable[Finding], *, strict: bool = False) -> int:
-    """Give the exit code of a command: 1 if there is an error (`strict`: or a warning), else 0."""
+    """Return the exit code of a command: 1 if there is an error (`strict`: or a warning), else 0."""
     bad = ("error", "warning") if strict else ("error",)
     return int(any(f.severity in bad for f in findings))

@@ -29,7 +29,7 @@ SOURCE_FIELDS = ("source clip", "source_clip", "source_path")
 
 
 def sketch(patient: Patient) -> tuple[Float[np.ndarray, "n k"], np.ndarray, np.ndarray]:
-    """Give each clip's poses in metres, flattened; its greatest joint speed in m/s; its median root height.
+    """Return each clip's poses in metres, flattened; its greatest joint speed in m/s; its median root height.
 
     Poses are canonical: the first frame at the origin facing +Z, whatever the length of the clip.
     """

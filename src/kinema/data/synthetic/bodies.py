@@ -79,7 +79,7 @@ class Body:
 
     @property
     def leg(self) -> float:
-        """Give the length of thigh and shank, the unit of the tracks."""
+        """The length of thigh and shank, the unit of the tracks."""
         return float(np.linalg.norm(self.offsets[list(self.layout.legs[0][1:3])], axis=1).sum())
 
 
@@ -101,7 +101,7 @@ def bend(angles: np.ndarray) -> np.ndarray:
 
 
 def pose(body: Body, tracks: Tracks) -> np.ndarray:
-    """Give the joint positions (frames, joints, 3) of a body along tracks, in the skeleton's unit.
+    """Return the joint positions (frames, joints, 3) of a body along tracks, in the skeleton's unit.
 
     Feet stand exactly where the tracks put them: where a leg is too short the hips come down.
     """
@@ -130,7 +130,7 @@ def pose(body: Body, tracks: Tracks) -> np.ndarray:
 
 
 def _foot(body: Body, side: int, foot: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Give the ankle position, the rotation of the foot and that of its floor plan."""
+    """Return the ankle position, the rotation of the foot and that of its floor plan."""
     ball = body.offsets[body.layout.legs[side][3]]
     plan = rotation(1, foot[:, 3])
     turn = plan @ rotation(0, foot[:, 4])

@@ -83,7 +83,7 @@ def play(action: Action, plan: Plan, style: str, mirrored: bool) -> Tracks:
 
 
 def synthetic_joints(seed: int, index: int, skeleton: str) -> np.ndarray:
-    """Give the joints (frames, joints, 3), float32, of clip `index` of the corpus `seed`, in the skeleton's unit.
+    """Return the joints (frames, joints, 3), float32, of clip `index` of the corpus `seed`, in the skeleton's unit.
 
     Body, place and facing are the clip's own.
     """
@@ -97,7 +97,7 @@ def synthetic_joints(seed: int, index: int, skeleton: str) -> np.ndarray:
 
 
 def split_of(index: int, splits: tuple[float, float, float]) -> str:
-    """Give a clip's split: the golden ratio spreads them so that any number of clips has about the wanted shares."""
+    """Return a clip's split: the golden ratio spreads them so that any number of clips has about the wanted shares."""
     return SPLITS[int(np.searchsorted(np.cumsum(splits)[:2], ((index + 1) * GOLDEN) % 1.0, side="right"))]
 
 

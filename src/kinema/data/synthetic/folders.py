@@ -63,7 +63,7 @@ def write_official_folder(clips: Iterable[Clip], path: str | Path, skeleton: str
 
 @contextmanager
 def _whole(path: Path) -> Iterator[Path]:
-    """Give a folder to write to that becomes `path` at the end, or nothing. Raises ValueError if something is there."""
+    """Yield a folder that becomes `path` at the end, or nothing; raises ValueError if something is there."""
     if path.exists():
         raise ValueError(f"{path} exists already; delete it or choose another folder")
     path.parent.mkdir(parents=True, exist_ok=True)

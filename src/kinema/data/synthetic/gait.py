@@ -103,7 +103,7 @@ def step(
 
 
 def _eased(p: np.ndarray, begin: float, end: float, ease: float) -> np.ndarray:
-    """Give the way gone from `begin` to `end`, speeding up and slowing down over `ease` of the phase."""
+    """Return the way gone from `begin` to `end`, speeding up and slowing down over `ease` of the phase."""
 
     def ramp(x: np.ndarray) -> np.ndarray:
         y = np.clip(x / ease, 0, 1)
@@ -120,7 +120,7 @@ def _moving(phase: np.ndarray, first: float, cycles: int) -> np.ndarray:
 def _feet(
     gait: Gait, plan: Plan, phase: np.ndarray, side: int, at: Callable[[np.ndarray], tuple[np.ndarray, ...]]
 ) -> np.ndarray:
-    """Give one foot's channels: on the floor under the path's point of mid-stance, or on its way to the next one."""
+    """Return one foot's channels: on the floor under the path's point of mid-stance, or on its way to the next one."""
     index = np.floor(phase)
     u = phase - index
     sway = np.clip((u - gait.stance) / (1 - gait.stance), 0, 1)

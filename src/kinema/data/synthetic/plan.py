@@ -79,7 +79,7 @@ class Plan:
         return tracks, self.held(tracks, rise, fall)
 
     def held(self, tracks: Tracks, rise: float, fall: float) -> np.ndarray:
-        """Give how far a posture is taken up that starts soon after the clip and ends shortly before it."""
+        """Return how far a posture is taken up that starts soon after the clip and ends shortly before it."""
         lead, tail = self.uniform(0.1, 0.3), self.uniform(0.1, 0.3)
         left = tracks.time[-1] - tracks.time
         return smooth((tracks.time - lead) / (rise / self.tempo)) * smooth((left - tail) / (fall / self.tempo))

@@ -1,4 +1,4 @@
-"""Give a performance a manner: how fast and how big, and in which mood."""
+"""Return a performance a manner: how fast and how big, and in which mood."""
 
 from __future__ import annotations
 

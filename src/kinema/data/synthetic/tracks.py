@@ -69,7 +69,7 @@ class Tracks:
 
     @property
     def time(self) -> np.ndarray:
-        """Give the seconds at each frame."""
+        """The seconds at each frame."""
         return np.arange(self.frames) / self.fps
 
     def arm(self, side: int, amount: np.ndarray, **degrees: float | np.ndarray) -> None:

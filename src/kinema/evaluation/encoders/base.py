@@ -45,7 +45,7 @@ class TextMotionEvaluator(nn.Module):
 
     @property
     def vocabulary(self) -> Any:
-        """Give the attached vocabulary; ValueError if there is none or the weights were trained with another."""
+        """The attached vocabulary; ValueError if there is none or the weights were trained with another."""
         attached = self.__dict__["_attached"]
         if attached is None:
             raise ValueError(

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from kinema.evaluation.encoders.base import TextMotionEvaluator, caption_keys, false_negatives, symmetric_cross_entropy
-from kinema.evaluation.encoders.gather import gather
 from kinema.motion.representation import Representation
+from kinema.nn.ranks import gather
 from kinema.types import Caption, Losses, MotionBatch
 
 MAX_POSITIONS = 2000
@@ -126,7 +126,7 @@ class ContrastiveEvaluator(TextMotionEvaluator):
     def loss(
         self, batch: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Give the symmetric cross entropy over the batch of all ranks.
+        """Return the symmetric cross entropy over the batch of all ranks.
 
         `shard` = (rank, ranks that share the batch); each of them computes the whole loss from gathered embeddings.
         There is nothing to draw from `generator`.

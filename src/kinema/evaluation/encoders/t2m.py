@@ -10,9 +10,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from kinema.evaluation.encoders.base import TextMotionEvaluator, caption_keys, false_negatives, symmetric_cross_entropy
-from kinema.evaluation.encoders.gather import gather
 from kinema.evaluation.encoders.t2m_networks import MovementDecoder, MovementEncoder, SequenceEncoder, WordEncoder
 from kinema.motion.representation import Representation
+from kinema.nn.ranks import gather
 from kinema.types import Caption, Losses, MotionBatch
 
 UNIT = 4
@@ -39,7 +39,7 @@ class DecompositionAutoencoder(nn.Module):
     def loss(
         self, batch: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Give L1 plus 0.001 mean|z| (sparsity) plus 0.001 L1 of consecutive codes (smoothness); nothing is drawn."""
+        """Return L1 plus 0.001 mean|z| (sparsity) plus 0.001 L1 of consecutive codes (smoothness); nothing is drawn."""
         target = self.representation.normalize(batch.features, batch.lengths)
         codes = self.movement_encoder(target[..., :-CONTACTS] if self.drop_contacts else target)
         output = self.movement_decoder(codes)
@@ -146,7 +146,7 @@ class MatchingEvaluator(TextMotionEvaluator):
         return self._margin(text, motion, gather(batch.lengths, shard[1]), generator)
 
     def _margin(self, text: Tensor, motion: Tensor, lengths: Tensor, generator: torch.Generator | None) -> Losses:
-        """Give mean d(t_i, m_i)^2 + mean max(0, margin - d(t_i, m_(i+s)))^2 (T2M_EVALUATOR §4)."""
+        """Return mean d(t_i, m_i)^2 + mean max(0, margin - d(t_i, m_(i+s)))^2 (T2M_EVALUATOR §4)."""
         shift = draw_shift(len(text), self.negative_shift, generator)
         if self.negative_shift == "legacy":
             order = torch.argsort(lengths, stable=True).flip(0)

@@ -29,5 +29,5 @@ class ClipScore(Metric):
         self.count += len(motion)
 
     def compute(self) -> Float[Tensor, ""]:
-        """Give the mean."""
+        """Return the mean."""
         return self.total / self.count

@@ -44,7 +44,7 @@ class CodeUsage(Metric):
         self.counts += counts.reshape(self.counts.shape).to(self.device)
 
     def compute(self) -> dict[str, Tensor]:
-        """Give the measures; a layer without any code counts as dead, with a perplexity of 0."""
+        """Return the measures; a layer without any code counts as dead, with a perplexity of 0."""
         counts, total = self.counts, self.counts.sum(1, keepdim=True)
         share = counts / total.clamp(min=1)
         perplexity = torch.exp(-(share * share.clamp(min=LEAST).log()).sum(1)) * (total[:, 0] > 0)

@@ -36,7 +36,7 @@ class Diversity(Metric):
         self.places.append(index.to(self.device))
 
     def compute(self) -> Float[Tensor, ""]:
-        """Give the diversity; ValueError with fewer than two motions."""
+        """Return the diversity; ValueError with fewer than two motions."""
         embeddings, places = (torch.cat(v) if isinstance(v, list) else v for v in (self.embeddings, self.places))
         embeddings = embeddings[torch.argsort(places)]
         first, second = draw_pairs(len(embeddings), self.pairs, self.seed)
@@ -68,7 +68,7 @@ class MultiModality(Metric):
         self.texts += len(embeddings)
 
     def compute(self) -> Float[Tensor, ""]:
-        """Give the mean over captions and pairs."""
+        """Return the mean over captions and pairs."""
         if self.texts == 0:
             raise ValueError("MultiModality has seen no captions; set mm_texts to at least 1")
         return self.distance / self.texts

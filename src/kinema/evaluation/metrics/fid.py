@@ -37,7 +37,7 @@ class FrechetDistance(Metric):
             setattr(self, f"{side}_outer", getattr(self, f"{side}_outer") + rows.T @ rows)
 
     def compute(self) -> Float[Tensor, ""]:
-        """Give the distance; ValueError with fewer than two samples on a side."""
+        """Return the distance; ValueError with fewer than two samples on a side."""
         moments = []
         for side in ("real", "generated"):
             count = getattr(self, f"{side}_count").cpu()
@@ -52,7 +52,7 @@ class FrechetDistance(Metric):
 def frechet_distance(
     mean_a: Float[Tensor, " e"], cov_a: Float[Tensor, "e e"], mean_b: Float[Tensor, " e"], cov_b: Float[Tensor, "e e"]
 ) -> Float[Tensor, ""]:
-    """Give |mean_a - mean_b|^2 + tr(A) + tr(B) - 2 tr((A B)^(1/2)), at least 0.
+    """Return |mean_a - mean_b|^2 + tr(A) + tr(B) - 2 tr((A B)^(1/2)), at least 0.
 
     The last trace is the sum of the square roots of the eigenvalues of A^(1/2) B A^(1/2), which is symmetric: no
     complex or non-finite square root as with a general one.
@@ -65,7 +65,7 @@ def frechet_distance(
 
 
 def half_against_half(embeddings: Float[Tensor, "n e"], seed: int) -> float:
-    """Give the FID of one random half of real embeddings to the other: what a perfect model of that N scores."""
+    """Return the FID of one random half of real embeddings to the other: what a perfect model of that N scores."""
     order = torch.from_numpy(np.random.default_rng(seed).permutation(len(embeddings))).to(embeddings.device)
     half = len(embeddings) // 2
     metric = FrechetDistance(embeddings.shape[1], sync_on_compute=False)

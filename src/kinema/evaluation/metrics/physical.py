@@ -55,7 +55,7 @@ class Physical(Metric):
         self.clips += len(generated.lengths)
 
     def compute(self) -> dict[str, Tensor]:
-        """Give the measures whose denominators are not zero."""
+        """Return the measures whose denominators are not zero."""
         out = {
             "foot_skating": self.generated_skating / self.clips,
             "jitter": self.generated_jitter / self.clips,
@@ -74,7 +74,7 @@ class Physical(Metric):
 
 
 def turn(batch: MotionBatch) -> Tensor:
-    """Give the absolute total turn of each motion after its first row, radians.
+    """Return the absolute total turn of each motion after its first row, radians.
 
     A clip's first row holds a jump of up to 90 degrees: extraction sets its first heading to 0 (HUMANML3D_DATA §3.6).
     """

@@ -51,7 +51,7 @@ class Reconstruction(Metric):
         self.frames += mask.sum().to(self.device)
 
     def compute(self) -> dict[str, Tensor]:
-        """Give mpjpe_mm, mpjpe_heading_mm and heading_error_deg."""
+        """Return mpjpe_mm, mpjpe_heading_mm and heading_error_deg."""
         return {
             "mpjpe_mm": self.world / self.frames,
             "mpjpe_heading_mm": self.local / self.frames,
@@ -60,12 +60,12 @@ class Reconstruction(Metric):
 
 
 def mpjpe(a: Float[Tensor, "*b t j 3"], b: Float[Tensor, "*b t j 3"]) -> Float[Tensor, "*b t"]:
-    """Give the mean distance over joints, root included, after moving both roots to the origin."""
+    """Return the mean distance over joints, root included, after moving both roots to the origin."""
     return ((a - a[..., :1, :]) - (b - b[..., :1, :])).norm(dim=-1).mean(-1)
 
 
 def heading_joints(features: Float[Tensor, "*b t d"], skeleton: Skeleton) -> Float[Tensor, "*b t j 3"]:
-    """Give joints in the frame that moves and turns with the root; its height is kept."""
+    """Return joints in the frame that moves and turns with the root; its height is kept."""
     joints = features[..., skeleton.groups["joints"]].unflatten(-1, (-1, 3))
     height = features[..., skeleton.groups["root_height"]]
     root = torch.cat([torch.zeros_like(height), height, torch.zeros_like(height)], dim=-1)

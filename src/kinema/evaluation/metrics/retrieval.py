@@ -48,7 +48,7 @@ class Retrieval(Metric):
         self.count += len(ranks)
 
     def compute(self) -> dict[str, Tensor]:
-        """Give r1, r2, r3 and matching; nothing if no pool was full."""
+        """Return r1, r2, r3 and matching; nothing if no pool was full."""
         if self.count == 0:
             return {}
         precision = {f"r{k + 1}": self.hits[k] / self.count for k in range(TOP)}
@@ -58,7 +58,7 @@ class Retrieval(Metric):
 def pool_ranks(
     text: Float[Tensor, "b e"], motion: Float[Tensor, "b e"], pool: int, *, keep_rest: bool = False
 ) -> tuple[Int[Tensor, " n"], Float[Tensor, " n"]]:
-    """Give for every caption the rank (from 0) of its own motion in its pool, and the distance to it.
+    """Return for every caption the rank (from 0) of its own motion in its pool, and the distance to it.
 
     Of equal distances the lower index comes first, as in a stable sort. Differences are taken before squaring, so
     equal rows have equal distances and none is the root of a negative number.

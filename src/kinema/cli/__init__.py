@@ -1,0 +1,124 @@
+"""Read the command line of `kinema`: generate and edit motion, import checkpoints, prepare and check corpora."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from kinema import __version__
+
+TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq")
+GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm")
+KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
+FORMATS = ("joints", "humanml3d", "kit", "synthetic")
+RANGE_HELP = (
+    "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
+    "or prefix, suffix, inbetween, outpaint"
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; an error is one line on stderr and exit code 2 (--debug shows where it came from)."""
+    options = _parser().parse_args(arguments)
+    try:
+        if hasattr(options, "set"):
+            options.set = _settings(options.set)
+        from kinema.cli import commands  # here, so that --help answers at once
+
+        return getattr(commands, options.command)(options) or 0
+    except (ValueError, OSError, ImportError) as error:
+        if options.debug:
+            raise
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="kinema", description="Generate and edit human motion from text.")
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, what: str, command: str | None = None) -> argparse.ArgumentParser:
+        made = commands.add_parser(name, help=what, description=what)
+        made.add_argument("--debug", action="store_true", help="show the traceback of an error")
+        made.set_defaults(command=command or name)
+        return made
+
+    make = add("generate", "generate one motion per text")
+    make.add_argument("text", nargs="+", help="what the person does; several texts give several motions")
+    make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
+    make.add_argument("--frames", type=int, help="length in frames")
+    make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
+    change = add("edit", "regenerate a part of a motion to a text")
+    change.add_argument("--motion", required=True, help=".npz that generate wrote, or joints (T, J, 3) as .npy")
+    change.add_argument("--text", required=True, help="what the person does")
+    which = change.add_mutually_exclusive_group(required=True)
+    which.add_argument("--regenerate", metavar="RANGES", help=RANGE_HELP)
+    which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
+    change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
+    for one in (make, change):
+        one.add_argument("--run", required=True, help="run folder of a generator, or one that TextToMotion.save wrote")
+        one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
+        one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png")
+        one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
+        one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
+        _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
+    read = add("import", "turn a published checkpoint into a run folder", "import_checkpoint")
+    read.add_argument("kind", choices=KINDS)
+    read.add_argument("file", help="published .tar, .pth, .pt or .safetensors")
+    read.add_argument("--out", required=True, metavar="RUN", help="run folder to write")
+    read.add_argument(
+        "--statistics",
+        nargs="+",
+        metavar="PATH",
+        help="what it was trained with: a folder with Mean.npy and Std.npy, or the two files, mean first",
+    )
+    read.add_argument("--tokenizer", metavar="RUN", help="run folder of the tokenizer; every generator needs it")
+    read.add_argument("--residual", metavar="RUN", help="run folder of the residual transformer (momask, bamm)")
+    read.add_argument("--length", metavar="RUN", help="run folder of a length estimator (generators)")
+    read.add_argument("--text", default="clip_b32", help="text encoder it was trained with (default clip_b32)")
+    read.add_argument("--text-path", help="local folder of the text encoder")
+    _add_settings(read, "importer option, e.g. variant=sit")
+    pack = add("prepare", "turn a corpus into a packed store")
+    pack.add_argument("source", nargs="?", help="folder of the corpus (none for synthetic)")
+    pack.add_argument("--format", required=True, choices=FORMATS)
+    pack.add_argument("--out", required=True, metavar="STORE", help="folder to write")
+    pack.add_argument("--name", help="name that results carry (default: the format)")
+    pack.add_argument("--skeleton", default="humanml3d", help="skeleton of joints and synthetic (default humanml3d)")
+    pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
+    pack.add_argument("--processes", type=int, help="processes that extract features")
+    _add_settings(pack, "reader option, e.g. size=400 of synthetic")
+    check = add("doctor", "examine a corpus, a packed store or a file of joints")
+    check.add_argument("path", help="corpus folder, packed store or .npy of joints")
+    check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
+    check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    add("info", "describe a run folder or a weights file").add_argument("run", help="run folder or weights file")
+    return parser
+
+
+def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=what)
+
+
+def _settings(pairs: list[str]) -> dict[str, Any]:
+    """Read KEY=VALUE pairs; values are Python literals, anything else is text."""
+    settings = {}
+    for pair in pairs:
+        key, separator, value = pair.partition("=")
+        if not separator:
+            raise ValueError(f"--set {pair} is no KEY=VALUE")
+        words = {"true": True, "false": False, "null": None, "none": None}
+        try:
+            settings[key] = words[value.lower()] if value.lower() in words else ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            settings[key] = value
+    return settings
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""Do what the `kinema` command is asked; each function takes the parsed options."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+from pathlib import Path
+
+import torch
+
+from kinema.data import doctor as examine
+from kinema.data.prepare import READERS
+from kinema.data.prepare import prepare as write_store
+from kinema.data.store import PackedStore
+from kinema.interop.runs import CALLS, import_run
+from kinema.motion import export
+from kinema.motion.features import extract
+from kinema.motion.formats.arrays import load_npy, load_npz
+from kinema.motion.recovery import recover_joints
+from kinema.motion.skeleton import Skeleton
+from kinema.motion.view.html import save_html
+from kinema.pipeline import TextToMotion
+from kinema.pipeline.editing import complement, parse_ranges
+from kinema.runs import weights as artifacts
+from kinema.runs.parts import read_json
+from kinema.types import Motion
+
+
+def generate(options: argparse.Namespace) -> None:
+    """Generate one motion per text, or one long motion of all."""
+    files = _files(options.out, 1 if options.chain else len(options.text))
+    model = _model(options)
+    lengths = {"frames": options.frames, "seconds": options.seconds}
+    if options.chain:
+        _write([model.chain(options.text, **lengths, seed=options.seed, **options.set)], files)
+        return
+    _write(model.generate(options.text, **lengths, seed=options.seed, **options.set), files)
+
+
+def edit(options: argparse.Namespace) -> None:
+    """Regenerate a part of a motion to a text."""
+    files = _files(options.out, 1)
+    model = _model(options)
+    motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width)
+    size = len(motion.features)
+    ranges = parse_ranges(options.regenerate or options.keep, size, model.skeleton.fps)
+    if options.keep:
+        ranges = complement(ranges, size)
+    _write(model.edit(motion, options.text, [ranges], seed=options.seed, paste=not options.raw, **options.set), files)
+
+
+def read_motion(path: str | Path, skeleton: Skeleton, width: int) -> Motion:
+    """Read a motion; features of `width` columns are extracted from its joints where it has none so wide.
+
+    Extraction gives one frame less than there are joints (HUMANML3D_DATA §3) and puts the clip at the origin.
+    """
+    path = Path(path)
+    if path.suffix == ".npz":
+        motion = load_npz(path)
+        if motion.features.ndim == 2 and motion.features.shape[1] >= width:
+            return motion
+        joints, text = motion.joints, motion.text
+    elif path.suffix == ".npy":
+        joints, text = load_npy(path), ""
+    else:
+        raise ValueError(f"cannot read a motion from {path}; give .npz or joints (frames, joints, 3) as .npy")
+    lengths = None if skeleton.bone_lengths is None else "skeleton"  # as corpora are prepared
+    features = extract(joints, skeleton, target_bone_lengths=lengths)
+    joints = recover_joints(torch.from_numpy(features), skeleton).numpy()
+    return Motion(joints, features, text, skeleton.name, skeleton.fps)
+
+
+def import_checkpoint(options: argparse.Namespace) -> None:
+    """Turn a published checkpoint into a run folder."""
+    settings = dict(options.set)
+    if options.statistics:
+        settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
+    links = {part: getattr(options, part) for part in CALLS if getattr(options, part)}
+    text = {"text": options.text, "text_path": options.text_path}
+    module = import_run(options.kind, options.file, options.out, links=links, options=settings, **text)
+    size = sum(p.numel() for p in module.parameters())
+    print(f"wrote {options.out} ({type(module).__name__}, {size:,} parameters)")
+    if hasattr(module, "representation") and "statistics" not in settings:
+        print("note: its mean and std are unknown; import it with --statistics PATH to use it")
+
+
+def prepare(options: argparse.Namespace) -> None:
+    """Turn a corpus into a packed store."""
+    official = options.format in ("humanml3d", "kit")
+    skeleton = options.format if official else options.skeleton
+    module, _, function = READERS["official" if official else options.format].partition(":")
+    settings = options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    if (options.source is None) != (options.format == "synthetic"):
+        needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
+        raise ValueError(f"--format {options.format} {needs}")
+    source = [] if options.source is None else [options.source]
+    catalog = getattr(importlib.import_module(module), function)(*source, **settings)
+    path = write_store(
+        catalog,
+        options.out,
+        name=options.name or options.format,
+        skeleton=skeleton,
+        mirror=not official and not options.no_mirror,
+        processes=options.processes or min(4, os.cpu_count() or 1),
+    )
+    store = PackedStore.open(path)
+    print(f"wrote {path}: {store!r}")
+
+
+def doctor(options: argparse.Namespace) -> int:
+    """Examine a corpus, a store or one file of joints; exit code 1 if something is wrong."""
+    findings = examine.diagnose(options.path, source=options.source)
+    print(examine.format(findings))
+    return examine.exit_code(findings, strict=options.strict)
+
+
+def info(options: argparse.Namespace) -> None:
+    """Describe a run folder or a weights file."""
+    path = Path(options.run)
+    file = path / artifacts.WEIGHTS if path.is_dir() else path
+    meta = artifacts.read_meta(file)
+    parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
+    for name in ("status", "upstream", "text") if path.is_dir() else ():
+        if found := read_json(path / f"{name}.json"):
+            parts[name] = found
+    print(json.dumps(parts, indent=2))
+
+
+def _model(options: argparse.Namespace) -> TextToMotion:
+    return TextToMotion.from_run(options.run, options.device, length=options.length)
+
+
+def _files(out: str, count: int) -> list[Path]:
+    """Name the files of `count` motions; all go into one .html, else several are numbered."""
+    path = Path(out)
+    if path.suffix not in export.FORMATS:
+        raise ValueError(f"--out {out} has no known suffix; choose one of {', '.join(export.FORMATS)}")
+    if count == 1 or path.suffix == ".html":
+        return [path]
+    return [path.with_stem(f"{path.stem}-{i}") for i in range(1, count + 1)]
+
+
+def _write(motions: list[Motion], files: list[Path]) -> None:
+    if len(files) < len(motions):
+        save_html(motions, files[0])
+    else:
+        for motion, file in zip(motions, files, strict=True):
+            export.save(motion, file)
+    frames = ", ".join(str(len(m.joints)) for m in motions)
+    print(f"wrote {', '.join(map(str, files))} ({frames} frames, seed {motions[0].seed})")

@@ -1,0 +1,1 @@
+"""Draw the papers' figures that are no tables."""

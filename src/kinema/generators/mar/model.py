@@ -1,0 +1,255 @@
+"""Generate latents by masked autoregression: a transformer sees the known ones, a diffusion MLP samples the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from kinema.decoding.unmasking import Draws, SampleDraws, UnmaskingStep, unmask
+from kinema.diffusion.ddpm import DDPM
+from kinema.diffusion.flow import Flow
+from kinema.diffusion.guidance import guided
+from kinema.generators.mar.sampling import MarSampling, plan, start
+from kinema.generators.mar.training import MarDraws, check_latents, corrupt, training_mask
+from kinema.generators.tokens.request import latent_lengths
+from kinema.nn.diffusion_mlp import DiffusionMLP
+from kinema.nn.embeddings import sinusoidal_positions
+from kinema.nn.mode import inference
+from kinema.nn.modulation import AdaLNBlock
+from kinema.nn.ranks import mean_over_ranks
+from kinema.types import Known, Latents, Losses, TextFeatures
+
+MASK_LENGTHS = ("padded", "own")
+
+
+class MARDM(nn.Module):
+    """Masked autoregressive transformer with a per-latent diffusion MLP (MARDM §4-§6).
+
+    `process` is a `DDPM` or a `Flow`. The training mask counts positions of `max_latents` ("padded", as published) or
+    of each sample's own length ("own"). Lengths are frames // `downsample`, at most `max_latents`.
+    """
+
+    latent_min: Float[Tensor, " c"]
+    latent_max: Float[Tensor, " c"]
+
+    def __init__(
+        self,
+        *,
+        latent_dim: int,
+        text_dim: int,
+        process: DDPM | Flow,
+        width: int = 1024,
+        feedforward: int = 4096,
+        layers: int = 1,
+        heads: int = 16,
+        dropout: float = 0.2,
+        condition_drop: float = 0.1,
+        mlp_width: int = 1792,
+        mlp_depth: int = 16,
+        batch_multiplier: int = 4,
+        max_latents: int = 49,
+        downsample: int = 4,
+        mask_length: str = "padded",
+        sampling: MarSampling | None = None,
+    ) -> None:
+        super().__init__()
+        if mask_length not in MASK_LENGTHS:
+            raise ValueError(f"mask_length {mask_length!r} is unknown; choose one of {', '.join(MASK_LENGTHS)}")
+        self.condition_drop = condition_drop
+        self.batch_multiplier = batch_multiplier
+        self.max_latents = max_latents
+        self.downsample = downsample
+        self.latent_dim = latent_dim
+        self.mask_length = mask_length
+        self.sampling = sampling or MarSampling()
+        process.resolve(self.sampling.solver, self.sampling.solver_steps)
+        self.process = process
+        self.mask_latent = nn.Parameter(torch.zeros(latent_dim))
+        self.input_projection = nn.Linear(latent_dim, width)
+        self.text_projection = nn.Linear(text_dim, width)
+        self.dropout = nn.Dropout(dropout)
+        self.blocks = nn.ModuleList(AdaLNBlock(width, heads, feedforward, dropout) for _ in range(layers))
+        self.reset_parameters()
+        self.mlp = DiffusionMLP(latent_dim, width, mlp_width, mlp_depth)
+        self.register_buffer("latent_min", torch.full((latent_dim,), -torch.inf))
+        self.register_buffer("latent_max", torch.full((latent_dim,), torch.inf))
+
+    def reset_parameters(self) -> None:
+        """Initialise the transformer: Linears N(0, 0.02), biases and modulations 0. The MLP has its own rule."""
+        for module in (self.input_projection, self.text_projection, *self.blocks.modules()):
+            if isinstance(module, nn.Linear):
+                nn.init.normal_(module.weight, std=0.02)
+                nn.init.zeros_(module.bias)
+        for block in self.blocks:
+            nn.init.zeros_(block.modulation[1].weight)
+
+    def set_latent_range(self, minimum: Float[Tensor, " c"], maximum: Float[Tensor, " c"]) -> None:
+        """Keep the training latents' range per channel, for `clip_latents`; call it before training."""
+        if not (minimum <= maximum).all():
+            raise ValueError("the latents' minimum exceeds their maximum; pass (minimum, maximum) per channel")
+        self.latent_min.copy_(minimum)
+        self.latent_max.copy_(maximum)
+
+    def forward(
+        self,
+        latents: Float[Tensor, "b n c"],
+        text: Float[Tensor, "b t"],
+        real: Bool[Tensor, "b n"],
+        last: Bool[Tensor, "b n"] | None = None,
+    ) -> Float[Tensor, "b n w"]:
+        """Return each position's condition for the diffusion MLP; `real` is True at positions before the padding.
+
+        Positions in `last` go behind the others inside the blocks (pseudo-reordering). A zero text vector is the empty
+        condition.
+        """
+        condition = self.text_projection(text)
+        x = self.input_projection(latents)
+        x = self.dropout(x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype))
+        if last is not None:
+            order = last.int().argsort(dim=1, stable=True)
+            x, real = _take(x, order), real.gather(1, order)
+        for block in self.blocks:
+            x = block(x, condition, real)
+        return x if last is None else _take(x, order.argsort(dim=1))
+
+    def loss(
+        self,
+        latents: Latents,
+        text: TextFeatures,
+        *,
+        generator: torch.Generator | None = None,
+        shard: tuple[int, int] = (0, 1),
+        draws: MarDraws | None = None,
+    ) -> Losses:
+        """Return the diffusion loss of the masked latents (MARDM §4).
+
+        Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
+        `shard` = (rank, world); the mean is over the masked rows of all ranks, so that ranks together equal one
+        process. Dropout is torch's own. `draws` replaces them all (tests).
+        """
+        check_latents(latents, len(self.mask_latent), self.max_latents)
+        real = latents.mask
+        x1 = latents.values.detach() * real[:, :, None]
+        batch, positions, channels = x1.shape
+        if draws is None:
+            rank, world = shard
+            draws = MarDraws.draw(
+                (batch * world, self.max_latents, channels),
+                self.process,
+                repeats=self.batch_multiplier,
+                condition_drop=self.condition_drop if self.training else 0.0,
+                generator=generator,
+                device=x1.device,
+            ).crop(slice(rank * batch, (rank + 1) * batch), positions)
+        counted = latents.lengths if self.mask_length == "own" else latents.lengths.new_tensor([self.max_latents])
+        mask = training_mask(draws, real, counted)
+        pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
+        z = self(corrupt(x1, mask, self.mask_latent, draws), pooled, real)
+        rows = self._diffusion_loss(x1[mask], z[mask], draws.diffusion_time[mask], draws.diffusion_noise[mask])
+        return {"loss": mean_over_ranks(rows, shard[1])}
+
+    def sample(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: MarSampling | None = None,
+        draws: Draws | None = None,
+    ) -> Latents:
+        """Generate latents for `frames` frames, or edit: regenerate the positions that `known.mask` leaves free.
+
+        A sample depends on its own seed only. `frames` None takes the lengths of `known`. The result stands for whole
+        latents, frames // downsample * downsample frames; kept latents come back bit-equal, padding is zero. `draws`
+        replaces what the seeds draw (tests).
+        """
+        states = self.trajectory(text, frames, seeds=seeds, known=known, sampling=sampling, draws=draws)
+        *_, (_, latents) = states
+        return latents
+
+    def trajectory(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: MarSampling | None = None,
+        draws: Draws | None = None,
+    ) -> Iterator[tuple[UnmaskingStep | None, Latents]]:
+        """Yield the latents at the start and after every unmasking step of `sample`."""
+        sampling = sampling or self.sampling
+        device, channels = self.mask_latent.device, len(self.mask_latent)
+        if frames is None and known is None:
+            raise ValueError("frames is None; give the frames to generate (a LengthEstimator predicts them from text)")
+        frames = known.latents.lengths * self.downsample if frames is None else frames
+        lengths = latent_lengths(frames.to(device), self.downsample, self.max_latents)
+        if not len(lengths) == len(text.pooled) == len(seeds):
+            raise ValueError(
+                f"{len(lengths)} lengths, {len(text.pooled)} texts and {len(seeds)} seeds; give one of each per sample"
+            )
+        latents, free = start(lengths, channels, self.downsample, known)
+        draws = draws or SampleDraws(seeds, lengths, channels, device)
+        predict = self._predictor(text.pooled.to(device), latents.mask, draws, sampling)
+        yield None, latents
+        steps = plan(draws.order(), free, sampling)
+        for step, values in unmask(latents.values, self.mask_latent.detach(), steps, predict):
+            yield step, replace(latents, values=values)
+
+    def _predictor(
+        self, text: Tensor, real: Tensor, draws: Draws, sampling: MarSampling
+    ) -> Callable[[UnmaskingStep, Tensor, tuple[Tensor, Tensor]], Float[Tensor, "m c"]]:
+        """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
+        clip = self._latent_range() if sampling.clip_latents else None
+        passes = 1 if sampling.guidance == 1 else 2
+        if passes == 2:
+            text, real = torch.cat((text, torch.zeros_like(text))), torch.cat((real, real))
+
+        def denoise(x: Tensor, time: Tensor, condition: Tensor) -> Tensor:
+            return self.mlp.denoise(x, self.mlp.embed_time(time), condition)
+
+        def predict(step: UnmaskingStep, latents: Tensor, where: tuple[Tensor, Tensor]) -> Float[Tensor, "m c"]:
+            last = step.masked.to(real.device).repeat(passes, 1) if sampling.pseudo_reorder else None
+            with inference(self):
+                z = self(latents.repeat(passes, 1, 1), text, real, last).unflatten(0, (passes, -1))
+                condition = self.mlp.embed_condition(z[:, *where])
+                return self.process.sample(
+                    guided(denoise, condition[0], condition[-1], sampling.guidance),
+                    draws.noise(step.index, step.sampled),
+                    solver=sampling.solver,
+                    steps=sampling.solver_steps,
+                    temperature=sampling.temperature,
+                    clip=clip,
+                )
+
+        return predict
+
+    def _latent_range(self) -> tuple[Tensor, Tensor]:
+        if not (self.latent_min.isfinite().all() and self.latent_max.isfinite().all()):
+            raise ValueError(
+                "clip_latents needs the range of the training latents, which this model does not hold; "
+                "call set_latent_range(minimum, maximum) before training, or sample with clip_latents=False"
+            )
+        return self.latent_min, self.latent_max
+
+    def _diffusion_loss(
+        self, x1: Float[Tensor, "m c"], z: Float[Tensor, "m w"], time: Tensor, noise: Float[Tensor, "m k c"]
+    ) -> Float[Tensor, " mk"]:
+        """Return the loss of every masked row, once per time and noise."""
+        repeats = noise.shape[1]
+        condition = self.mlp.embed_condition(z).repeat_interleave(repeats, dim=0)
+        return self.process.loss(
+            lambda x, t: self.mlp.denoise(x, self.mlp.embed_time(t), condition),
+            x1.repeat_interleave(repeats, dim=0),
+            time.flatten(),
+            noise.flatten(0, 1),
+        )
+
+
+def _take(x: Float[Tensor, "b n w"], order: Int[Tensor, "b n"]) -> Float[Tensor, "b n w"]:
+    return x.gather(1, order[:, :, None].expand_as(x))

@@ -1,0 +1,249 @@
+"""Generate tokens as MoMask does: a masked transformer that keeps its surest guesses first (MoMask §2, §4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from kinema.decoding.draws import SeededDraws, TokenDraws
+from kinema.decoding.token_unmasking import Choose, choice, unmask_tokens
+from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
+from kinema.generators.tokens.request import check_codes, token_request
+from kinema.masking import cosine_counts, cosine_ratio, masked_count
+from kinema.nn.mode import inference
+from kinema.nn.ranks import mean_over_ranks
+from kinema.types import Known, Latents, Losses, TextFeatures
+
+RANDOM_SHARE = 0.1
+MASK_SHARE = 0.88
+
+
+@dataclass(frozen=True)
+class MoMaskSampling:
+    """Choose how tokens are sampled, and by `residual_*` how a residual transformer completes them.
+
+    `top_k` is the share of the least likely classes that no draw takes (published: 0.9); temperature 0 takes the
+    likeliest class. Published guidance is 4 on HumanML3D, 2 on KIT-ML.
+    """
+
+    steps: int = 10
+    guidance: float = 4.0
+    temperature: float = 1.0
+    top_k: float = 0.9
+    residual_guidance: float = 5.0
+    residual_temperature: float = 1.0
+    residual_top_k: float = 0.9
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
+        for name in ("", "residual_"):
+            check_draw(name, getattr(self, f"{name}temperature"), getattr(self, f"{name}top_k"))
+
+
+@dataclass
+class MoMaskDraws:
+    """Hold what a training step draws, over all `n` positions whether they are selected or not."""
+
+    mask_time: Float[Tensor, " b"]
+    permutation: Int[Tensor, "b n"]
+    to_random: Bool[Tensor, "b n"]
+    to_mask: Bool[Tensor, "b n"]
+    random_codes: Int[Tensor, "b n"]
+    condition_drop: Bool[Tensor, " b"]
+
+    @classmethod
+    def draw(
+        cls,
+        shape: tuple[int, int],
+        codebook_size: int,
+        *,
+        condition_drop: float,
+        generator: torch.Generator | None,
+        device: torch.device,
+    ) -> MoMaskDraws:
+        """Draw for `shape` = (samples, positions)."""
+
+        def uniform(*size: int) -> Tensor:
+            return torch.rand(size, generator=generator, device=device)
+
+        return cls(
+            mask_time=uniform(shape[0]),
+            permutation=uniform(*shape).argsort(dim=1),
+            to_random=uniform(*shape) < RANDOM_SHARE,
+            to_mask=uniform(*shape) < MASK_SHARE,
+            random_codes=torch.randint(codebook_size, shape, generator=generator, device=device),
+            condition_drop=uniform(shape[0]) < condition_drop,
+        )
+
+    def crop(self, rows: slice, positions: int) -> MoMaskDraws:
+        """Take the draws of some samples and of their first positions."""
+        cropped = {f.name: getattr(self, f.name)[rows] for f in fields(self)}
+        return MoMaskDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})
+
+
+class MoMask(nn.Module):
+    """Masked transformer over one code per position, conditioned on the pooled text (MoMask §2).
+
+    The ids after the codes are MASK and PAD; the latter is never attended to. Lengths are frames // `downsample`, at
+    most `max_latents`, and the training mask counts positions of `max_latents`, padding included, as published.
+    """
+
+    predicts_length = False
+    quantizers = 1
+
+    def __init__(
+        self,
+        *,
+        codebook_size: int,
+        code_dim: int,
+        text_dim: int,
+        width: int = 384,
+        feedforward: int = 1024,
+        layers: int = 8,
+        heads: int = 6,
+        dropout: float = 0.2,
+        condition_drop: float = 0.1,
+        max_latents: int = 49,
+        downsample: int = 4,
+        sampling: MoMaskSampling | None = None,
+    ) -> None:
+        super().__init__()
+        self.codebook_size = codebook_size
+        self.mask_id, self.pad_id = codebook_size, codebook_size + 1
+        self.condition_drop = condition_drop
+        self.max_latents = max_latents
+        self.downsample = downsample
+        self.sampling = sampling or MoMaskSampling()
+        self.token_embedding = nn.Embedding(codebook_size + 2, code_dim)
+        self.encoder = TokenEncoder(
+            code_dim=code_dim,
+            text_dim=text_dim,
+            outputs=codebook_size,
+            width=width,
+            feedforward=feedforward,
+            layers=layers,
+            heads=heads,
+            dropout=dropout,
+        )
+        nn.init.normal_(self.token_embedding.weight, std=EMBEDDING_STD)
+
+    def forward(
+        self, ids: Int[Tensor, "b n"], text: Float[Tensor, "b t"], real: Bool[Tensor, "b n"]
+    ) -> Float[Tensor, "b n k"]:
+        """Return the logits of every position's code; a zero text vector is the empty condition."""
+        prefix = self.encoder.text_projection(text)[:, None]
+        return self.encoder(self.encoder.embed(self.token_embedding(ids), prefix), real)[:, 1:]
+
+    def loss(
+        self,
+        latents: Latents,
+        text: TextFeatures,
+        *,
+        generator: torch.Generator | None = None,
+        shard: tuple[int, int] = (0, 1),
+        draws: MoMaskDraws | None = None,
+    ) -> Losses:
+        """Return the cross entropy and the accuracy at the selected positions (MoMask §2).
+
+        Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
+        `shard` = (rank, world); means are over the selected positions of all ranks. `draws` replaces them (tests).
+        """
+        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
+        batch, positions = codes.shape
+        if draws is None:
+            rank, world = shard
+            draws = MoMaskDraws.draw(
+                (batch * world, self.max_latents),
+                self.codebook_size,
+                condition_drop=self.condition_drop if self.training else 0.0,
+                generator=generator,
+                device=codes.device,
+            ).crop(slice(rank * batch, (rank + 1) * batch), positions)
+        real = latents.mask
+        selected = select(draws, real, self.max_latents)
+        ids = corrupt(codes, selected, self.mask_id, draws).masked_fill(~real, self.pad_id)
+        logits = self(ids, text.pooled.masked_fill(draws.condition_drop[:, None], 0.0), real)[selected]
+        rows = nn.functional.cross_entropy(logits.float(), codes[selected], reduction="none")
+        right = (logits.argmax(-1) == codes[selected]).float()
+        return {"loss": mean_over_ranks(rows, shard[1]), "accuracy": mean_over_ranks(right, shard[1])}
+
+    def sample(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: MoMaskSampling | None = None,
+        draws: TokenDraws | None = None,
+    ) -> Latents:
+        """Generate codes for `frames` frames, or edit: regenerate the positions that `known.mask` leaves free.
+
+        A sample depends on its own seed only. `frames` None takes the lengths of `known`. Kept codes come back equal,
+        padding is 0. `draws` replaces what the seeds draw (tests).
+        """
+        sampling = sampling or self.sampling
+        device = self.token_embedding.weight.device
+        request = token_request(
+            text,
+            frames,
+            seeds,
+            known,
+            codebook_size=self.codebook_size,
+            downsample=self.downsample,
+            max_latents=self.max_latents,
+            device=device,
+        )
+        pooled, real, free = text.pooled.to(device), request.real, request.real & ~request.keep
+
+        def predict(codes: Tensor, masked: Tensor, step: int) -> Float[Tensor, "b n k"]:
+            ids = codes.masked_fill(masked, self.mask_id).masked_fill(~real, self.pad_id)
+            return guided_logits(self, ids, pooled, real, scale=sampling.guidance).float()
+
+        choose = likely_choice(draws or SeededDraws(seeds), sampling.temperature, sampling.top_k)
+        counts = cosine_counts(free.sum(dim=1), sampling.steps)
+        with inference(self):
+            *_, (_, codes) = unmask_tokens(request.codes[..., 0], free, counts, predict, choose)
+        return Latents(lengths=request.lengths, frames=request.frames, codes=codes[..., None])
+
+
+def likely_choice(draws: TokenDraws, temperature: float, dropped: float) -> Choose:
+    """Draw among the likeliest ceil((1 - dropped) * classes) classes.
+
+    In Python floats as published, which leave 3 of 30 classes for 0.9, not 4 (COMMON §8).
+    """
+    choose = choice(draws, temperature)
+
+    def among_the_likeliest(step: int, logits: Float[Tensor, "b n k"]) -> Int[Tensor, "b n"]:
+        least = logits.topk(math.ceil((1 - dropped) * logits.shape[-1])).values[..., -1:]
+        return choose(step, logits.masked_fill(logits < least, -torch.inf))
+
+    return among_the_likeliest
+
+
+def check_draw(name: str, temperature: float, dropped: float) -> None:
+    """Raise ValueError for a negative temperature or a `top_k` that leaves no class."""
+    if temperature < 0:
+        raise ValueError(f"sampling.{name}temperature is {temperature}; give 0 (the likeliest class) or more")
+    if not 0 <= dropped < 1:
+        raise ValueError(f"sampling.{name}top_k is {dropped}; give the share of classes to leave out, in [0, 1)")
+
+
+def select(draws: MoMaskDraws, real: Bool[Tensor, "b n"], counted: int) -> Bool[Tensor, "b n"]:
+    """Select n = max(1, round(counted * cos(pi u / 2))) of the permuted positions, and of these the real ones."""
+    count = masked_count(torch.tensor(counted, device=real.device), cosine_ratio(draws.mask_time))
+    return (draws.permutation < count[:, None]) & real
+
+
+def corrupt(
+    codes: Int[Tensor, "b n"], selected: Bool[Tensor, "b n"], mask_id: int, draws: MoMaskDraws
+) -> Int[Tensor, "b n"]:
+    """Replace selected codes: 10 % by random ones, 88 % of the others by MASK; the rest stay (MoMask §2)."""
+    random = selected & draws.to_random
+    hidden = selected & ~draws.to_random & draws.to_mask
+    return torch.where(random, draws.random_codes, codes).masked_fill(hidden, mask_id)

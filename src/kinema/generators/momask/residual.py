@@ -1,0 +1,213 @@
+"""Complete base tokens by the residual layers' tokens, one layer per forward pass (MoMask §3, §4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from kinema.decoding.draws import SeededDraws, TokenDraws
+from kinema.generators.momask.model import check_draw, likely_choice
+from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
+from kinema.generators.tokens.request import check_codes
+from kinema.nn.mode import inference
+from kinema.nn.ranks import mean_over_ranks
+from kinema.types import Known, Latents, Losses, TextFeatures
+
+STREAM = 1
+"""Keeps the residual layers' draws apart from those of the base tokens."""
+
+
+@dataclass(frozen=True)
+class ResidualSampling:
+    """Choose how residual tokens are sampled; the options mean what they mean in `MoMaskSampling`."""
+
+    guidance: float = 5.0
+    temperature: float = 1.0
+    top_k: float = 0.9
+
+    def __post_init__(self) -> None:
+        check_draw("residual_", self.temperature, self.top_k)
+
+    @classmethod
+    def of(cls, sampling: Any) -> ResidualSampling:
+        """Take the `residual_*` options of a base generator's sampling, and the defaults of those it doesn't have."""
+        given = {f.name: getattr(sampling, f"residual_{f.name}", f.default) for f in fields(cls)}
+        return cls(**given)
+
+
+@dataclass
+class ResidualDraws:
+    """Hold what a training step draws: which layer each sample learns, and who loses the text."""
+
+    layer: Float[Tensor, " b"]
+    condition_drop: Bool[Tensor, " b"]
+
+    @classmethod
+    def draw(
+        cls, samples: int, *, condition_drop: float, generator: torch.Generator | None, device: torch.device
+    ) -> ResidualDraws:
+        """Draw for `samples` samples."""
+        layer, drop = torch.rand(2, samples, generator=generator, device=device)
+        return cls(layer=layer, condition_drop=drop < condition_drop)
+
+    def crop(self, rows: slice) -> ResidualDraws:
+        """Take the draws of some samples."""
+        return ResidualDraws(self.layer[rows], self.condition_drop[rows])
+
+
+class ResidualTransformer(nn.Module):
+    """Predict the codes of residual layer q from the sum of the embedded codes of all layers below (MoMask §3).
+
+    With `share_weights` (as released) layer p has one table, which embeds its codes and, from layer 1 on, scores them;
+    without, embedding and scoring have tables of their own and scores a bias. Class `codebook_size` is PAD, which is
+    neither a target nor ever drawn.
+    """
+
+    def __init__(
+        self,
+        *,
+        codebook_size: int,
+        code_dim: int,
+        text_dim: int,
+        quantizers: int,
+        width: int = 384,
+        feedforward: int = 1024,
+        layers: int = 8,
+        heads: int = 6,
+        dropout: float = 0.2,
+        condition_drop: float = 0.2,
+        share_weights: bool = True,
+        max_latents: int = 49,
+        downsample: int = 4,
+        sampling: ResidualSampling | None = None,
+    ) -> None:
+        super().__init__()
+        if quantizers < 2:
+            raise ValueError(f"quantizers is {quantizers}; a residual transformer needs a tokenizer of 2 or more")
+        self.codebook_size = codebook_size
+        self.quantizers = quantizers
+        self.condition_drop = condition_drop
+        self.max_latents = max_latents
+        self.downsample = downsample
+        self.sampling = sampling or ResidualSampling()
+        classes, scored = codebook_size + 1, quantizers - 1
+        self.tables = nn.Parameter(torch.empty(quantizers if share_weights else scored, classes, code_dim))
+        self.score_tables = None if share_weights else nn.Parameter(torch.empty(scored, classes, code_dim))
+        self.score_bias = None if share_weights else nn.Parameter(torch.zeros(scored, classes))
+        self.layer_projection = nn.Linear(quantizers, width)
+        self.encoder = TokenEncoder(
+            code_dim=code_dim,
+            text_dim=text_dim,
+            outputs=code_dim,
+            width=width,
+            feedforward=feedforward,
+            layers=layers,
+            heads=heads,
+            dropout=dropout,
+        )
+        for table in (self.tables, self.score_tables):
+            if table is not None:
+                nn.init.normal_(table, std=EMBEDDING_STD)
+
+    def history(self, codes: Int[Tensor, "b n q"], layer: Int[Tensor, " b"]) -> Float[Tensor, "b n d"]:
+        """Sum the embedded codes of each sample's layers below `layer`."""
+        below = torch.arange(self.quantizers - 1, device=codes.device) < layer[:, None]
+        embedded = (self.tables[p][codes[..., p]] * below[:, p, None, None] for p in range(self.quantizers - 1))
+        return sum(embedded)
+
+    def forward(
+        self,
+        history: Float[Tensor, "b n d"],
+        text: Float[Tensor, "b t"],
+        layer: Int[Tensor, " b"],
+        real: Bool[Tensor, "b n"],
+    ) -> Float[Tensor, "b n k"]:
+        """Return the logits of each sample's layer, PAD last; a zero text vector is the empty condition."""
+        one_hot = nn.functional.one_hot(layer, self.quantizers).to(history.dtype)
+        prefix = torch.stack((self.encoder.text_projection(text), self.layer_projection(one_hot)), dim=1)
+        x = self.encoder(self.encoder.embed(history, prefix), real)[:, 2:]
+        if self.score_tables is None:
+            return x @ self.tables[layer].mT
+        return x @ self.score_tables[layer - 1].mT + self.score_bias[layer - 1][:, None]
+
+    def loss(
+        self,
+        latents: Latents,
+        text: TextFeatures,
+        *,
+        generator: torch.Generator | None = None,
+        shard: tuple[int, int] = (0, 1),
+        draws: ResidualDraws | None = None,
+    ) -> Losses:
+        """Return the cross entropy and the accuracy of one drawn layer per sample, at all real positions (MoMask §3).
+
+        Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
+        `shard` = (rank, world); means are over the positions of all ranks. `draws` replaces them (tests).
+        """
+        codes = check_codes(latents, self.codebook_size, self.max_latents, self.quantizers)
+        batch = len(codes)
+        if draws is None:
+            rank, world = shard
+            draws = ResidualDraws.draw(
+                batch * world,
+                condition_drop=self.condition_drop if self.training else 0.0,
+                generator=generator,
+                device=codes.device,
+            ).crop(slice(rank * batch, (rank + 1) * batch))
+        layer, real = drawn_layer(draws.layer, self.quantizers), latents.mask
+        pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
+        logits = self(self.history(codes, layer), pooled, layer, real)[real]
+        targets = codes.gather(2, layer[:, None, None].expand(-1, codes.shape[1], 1))[..., 0][real]
+        rows = nn.functional.cross_entropy(logits.float(), targets, reduction="none")
+        right = (logits.argmax(-1) == targets).float()
+        return {"loss": mean_over_ranks(rows, shard[1]), "accuracy": mean_over_ranks(right, shard[1])}
+
+    def complete(
+        self,
+        latents: Latents,
+        text: TextFeatures,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: ResidualSampling | None = None,
+        draws: TokenDraws | None = None,
+    ) -> Latents:
+        """Add the codes of layers 1.. to base codes (b n 1), one forward pass per layer.
+
+        Positions that `known.mask` keeps take the codes of `known` in every layer. A sample depends on its own seed
+        only. `draws` replaces what the seeds draw, step q - 1 being layer q (tests).
+        """
+        sampling = sampling or self.sampling
+        device = self.tables.device
+        base, real = check_codes(latents, self.codebook_size, self.max_latents).to(device), latents.mask.to(device)
+        codes = base.new_zeros(*base.shape[:2], self.quantizers)
+        codes[..., 0] = base[..., 0]
+        keep, given = self._kept(codes, known)
+        text = text.pooled.to(device)
+        choose = likely_choice(draws or SeededDraws(seeds, STREAM), sampling.temperature, sampling.top_k)
+        with inference(self):
+            for q in range(1, self.quantizers):
+                layer = torch.full((len(codes),), q, device=device)
+                history = self.history(codes, layer)
+                logits = guided_logits(self, history, text, layer, real, scale=sampling.guidance).float()
+                logits[..., self.codebook_size] = -torch.inf
+                codes[..., q] = torch.where(keep, given[..., q], choose(q - 1, logits)).masked_fill(~real, 0)
+        return Latents(lengths=latents.lengths, frames=latents.frames, codes=codes)
+
+    def _kept(self, codes: Int[Tensor, "b n q"], known: Known | None) -> tuple[Tensor, Tensor]:
+        """Return the mask of the kept positions and the codes they have."""
+        if known is None:
+            return torch.zeros(codes.shape[:2], dtype=torch.bool, device=codes.device), codes
+        given = check_codes(known.latents, self.codebook_size, known.mask.shape[1], self.quantizers)
+        positions = codes.shape[1]
+        return known.mask[:, :positions].to(codes.device), given[:, :positions].to(codes.device)
+
+
+def drawn_layer(uniform: Float[Tensor, " b"], quantizers: int) -> Int[Tensor, " b"]:
+    """Turn uniform numbers into layers 1..quantizers-1, the lower ones more often (MoMask §3)."""
+    return 1 + ((1 - torch.cos(math.pi / 2 * uniform)) * (quantizers - 2)).round().long()

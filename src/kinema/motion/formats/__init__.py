@@ -1,0 +1,1 @@
+"""Read and write motion as files; no geometry of their own."""

@@ -1,0 +1,121 @@
+"""Render a motion as an mp4 film or as a still strip of poses (needs `kinema[viz]`)."""
+
+from __future__ import annotations
+
+import textwrap
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kinema.atomic import replacing
+from kinema.motion.view.body import Body, body_of, finite_metres
+from kinema.motion.view.draw import INK, MUTED, Camera, draw_grid, draw_path, draw_pose, facing, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from kinema.types import Motion
+
+_PIXELS = 480
+_TURN, _PITCH = 0.6, 0.2
+_VIEW = 1.46  # the film's field of view in statures
+
+
+def save_mp4(motion: Motion, path: str | Path) -> Path:
+    """Write an H.264 film of 480 x 480 pixels at the motion's frame rate; the camera follows the root."""
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise ImportError("writing mp4 needs imageio-ffmpeg: pip install 'kinema[viz]'") from error
+    joints, body = finite_metres(motion), body_of(motion)
+    way = _smooth(joints[:, 0, [0, 2]], reach=round(motion.fps * 0.4))
+    figure = new_figure(_PIXELS / 100, _PIXELS / 100, dpi=100)
+    axes = figure.add_axes((0, 0, 1, 1))
+    angle = facing(joints[0], body) + _TURN
+    with replacing(path) as temporary:
+        writer = imageio_ffmpeg.write_frames(
+            str(temporary), (_PIXELS, _PIXELS), fps=motion.fps, codec="libx264", quality=8, ffmpeg_log_level="error"
+        )
+        writer.send(None)
+        try:
+            for frame in range(len(joints)):
+                axes.clear()
+                camera = Camera((way[frame, 0], 0.57 * body.stature, way[frame, 1]), angle, _PITCH, 2.7 * body.stature)
+                _draw_frame(axes, joints, frame, body, camera)
+                _caption(axes, motion, frame)
+                figure.canvas.draw()
+                writer.send(np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
+        finally:
+            writer.close()
+    return Path(path)
+
+
+def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
+    """Write a still picture: evenly spaced poses side by side with their times, the caption above."""
+    joints, body = finite_metres(motion), body_of(motion)
+    frames = np.unique(np.linspace(0, len(joints) - 1, poses).round().astype(int))
+    angle = facing(joints[0], body) + _TURN
+    cell, low, high = 0.62 * body.stature, -0.2 * body.stature, 1.32 * body.stature
+    drawn = [_centred(joints[f], body, angle) for f in frames]
+    reach = [(p.min() - 0.03 * body.stature, p.max() + 0.03 * body.stature) for p, _, _ in drawn]
+    places = _places(reach, cell)
+    left, right = places[0] + min(reach[0][0], -cell / 2), places[-1] + max(reach[-1][1], cell / 2)
+    height = 2.5
+    figure = new_figure(height * (right - left) / (high - low), height, dpi=200)
+    axes = figure.add_axes((0, 0, 1, 1))
+    _bare(axes, (left, right), (low, high))
+    axes.axhspan(low, 0.05 * body.stature, color="#ebeff3", zorder=0, lw=0)
+    for frame, place, (_, pose, camera) in zip(frames, places, drawn, strict=True):
+        draw_pose(axes, pose, body, camera, at=place)
+        axes.text(place, low * 0.72, f"{frame / motion.fps:.1f} s", ha="center", va="center", color=MUTED, fontsize=8)
+    columns = max(20, int(13 * figure.get_size_inches()[0]))
+    caption = textwrap.shorten(motion.text, 2 * columns, placeholder=" ...")
+    axes.text(0.012, 0.965, textwrap.fill(caption, columns), transform=axes.transAxes, va="top", color=INK, fontsize=10)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", metadata={"Software": None})
+    return Path(path)
+
+
+def _draw_frame(axes: Axes, joints: np.ndarray, frame: int, body: Body, camera: Camera) -> None:
+    half = _VIEW * body.stature / 2
+    _bare(axes, (-half, half), (-half, half))
+    draw_grid(axes, camera)
+    draw_path(axes, joints[:, 0, [0, 2]], frame, camera)
+    draw_pose(axes, joints[frame], body, camera)
+
+
+def _caption(axes: Axes, motion: Motion, frame: int) -> None:
+    text = textwrap.fill(textwrap.shorten(motion.text, 160, placeholder=" ..."), 56)
+    style = {"transform": axes.transAxes, "color": INK, "fontsize": 9.5}
+    axes.text(0.03, 0.97, text, va="top", **style)
+    clock = f"{frame / motion.fps:.1f} / {(len(motion.joints) - 1) / motion.fps:.1f} s"
+    axes.text(0.97, 0.03, clock, ha="right", **{**style, "color": MUTED, "fontsize": 8.5})
+
+
+def _bare(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
+    axes.set_axis_off()
+    axes.set_xlim(*x)
+    axes.set_ylim(*y)
+
+
+def _centred(pose: np.ndarray, body: Body, angle: float) -> tuple[np.ndarray, np.ndarray, Camera]:
+    """Return a pose's screen abscissae and the camera that has its root in the middle."""
+    camera = Camera((float(pose[0, 0]), 0.0, float(pose[0, 2])), angle, 0.06, 6 * body.stature)
+    return camera.project(pose)[:, 0], pose, camera
+
+
+def _places(reach: list[tuple[float, float]], cell: float) -> list[float]:
+    """Put poses side by side, at least `cell` apart and never into one another."""
+    places = [0.0]
+    for before, after in pairwise(reach):
+        places.append(places[-1] + max(cell, before[1] - after[0]))
+    return places
+
+
+def _smooth(path: np.ndarray, reach: int) -> np.ndarray:
+    """Average a path over +-reach frames, so that the camera does not bounce with the root."""
+    padded = np.pad(path, ((reach, reach), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+    return windows.mean(axis=-1)

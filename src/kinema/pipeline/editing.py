@@ -1,0 +1,159 @@
+"""Say which frames an edit regenerates, and put the kept ones back: pure functions of frames and masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from kinema.types import Motion
+
+Ranges = list[tuple[int, int]]
+"""Half-open ranges of frames to regenerate."""
+
+TASKS = {
+    "prefix": lambda n: [(n // 2, n)],
+    "suffix": lambda n: [(0, n - n // 2)],
+    "inbetween": lambda n: [(n // 4, n - n // 4)],
+    "outpaint": lambda n: [(0, n // 4), (n // 4 + n // 2, n)],
+}
+"""The editing tasks of BAD §5 (MoMask, BAMM and MMM take the same), named by what is given: the first half, the second
+half, both ends, the middle half. The rest is regenerated."""
+
+
+SLOTS = {
+    "prefix": lambda n: ((0, n // 2), (0, 0)),
+    "suffix": lambda n: ((n - n // 2, n), (0, 0)),
+    "inbetween": lambda n: ((0, n // 4), (n - n // 4, n)),
+    "outpaint": lambda n: ((n // 4, n // 4 + n // 2), (0, 0)),
+}
+"""The token slots that the published evaluation keeps of a clip of n tokens (BAD §5)."""
+
+SLICES = {
+    "prefix": lambda n: [(0, 2 * n)],
+    "suffix": lambda n: [(2 * n, 4 * n)],
+    "inbetween": lambda n: [(0, n), (3 * n, 4 * n)],
+    "outpaint": lambda n: [(n, 3 * n)],
+}
+"""The frames of a clip of 4n that it encodes for them, each slice by itself."""
+
+
+def task_slots(task: str, tokens: Int[Tensor, " b"], size: int | None = None) -> Bool[Tensor, "b n"]:
+    """Mark the token slots that a published editing task keeps of clips of `tokens` tokens (four frames each).
+
+    The mask is `size` slots wide (default: the longest clip). The whole tokens that TASKS leaves are the same, except
+    in outpaint: where a quarter of the clip is no whole number of tokens, they begin a token earlier here.
+    """
+    _check_task(task)
+    slot = torch.arange(int(tokens.max()) if size is None else size, device=tokens.device)
+    (first, end), (second, last) = SLOTS[task](tokens[:, None])
+    return ((slot >= first) & (slot < end)) | ((slot >= second) & (slot < last))
+
+
+def task_slices(task: str, tokens: int) -> Ranges:
+    """Return the frames, [start, end) of a clip of 4 * `tokens`, that a published editing task encodes, each by itself.
+
+    Of each slice's codes the first fill the kept slots; a rest of fewer than four frames has none.
+    """
+    _check_task(task)
+    return SLICES[task](tokens)
+
+
+def resolve_ranges(frames: str | Sequence, lengths: Sequence[int]) -> list[Ranges]:
+    """Return the ranges to regenerate of each motion.
+
+    `frames` is a task's name, a list of (start, end) for all motions, or a list with one of these per motion.
+    Raises ValueError for an unknown task, an empty list or a range outside its clip.
+    """
+    if isinstance(frames, str) or _is_ranges(frames):
+        frames = [frames] * len(lengths)
+    if len(frames) != len(lengths):
+        raise ValueError(f"got ranges for {len(frames)} motions, but there are {len(lengths)}; give one list for each")
+    return [_resolve(one, length) for one, length in zip(frames, lengths, strict=True)]
+
+
+def edited_frames(ranges: Sequence[Ranges], size: int) -> Bool[Tensor, "b t"]:
+    """Make a mask over frames that is True where an edit regenerates."""
+    mask = torch.zeros(len(ranges), size, dtype=torch.bool)
+    for row, spans in zip(mask, ranges, strict=True):
+        for start, end in spans:
+            row[start:end] = True
+    return mask
+
+
+def kept_latents(edited: Bool[Tensor, "b t"], downsample: int) -> Bool[Tensor, "b n"]:
+    """Keep the latents none of whose frames is regenerated."""
+    return ~edited.unflatten(1, (-1, downsample)).any(-1)
+
+
+def stack_sources(
+    motions: Sequence[Motion], width: int, unit: int
+) -> tuple[Float[Tensor, "b t d"], Int[Tensor, " b"], Int[Tensor, " b"]]:
+    """Stack feature rows, zero-padded; each clip's last row is repeated up to a whole number of latents.
+
+    Gives (features, frames of the clips, frames with the repetition).
+    """
+    frames = torch.tensor([len(m.features) for m in motions])
+    filled = (frames + unit - 1) // unit * unit
+    stacked = np.zeros((len(motions), int(filled.max()), width), np.float32)
+    for row, motion, end in zip(stacked, motions, filled.tolist(), strict=True):
+        row[: len(motion.features)] = motion.features[:, :width]
+        row[len(motion.features) : end] = motion.features[-1, :width]
+    return torch.from_numpy(stacked), frames, filled
+
+
+def parse_ranges(text: str, length: int, fps: float) -> Ranges:
+    """Read "20:60,80:" (frames) or "1s:2.5s" (seconds), or give the ranges of a named task."""
+    if text in TASKS:
+        return _resolve(text, length)
+    ranges = []
+    for part in text.split(","):
+        start, separator, end = part.partition(":")
+        if not separator:
+            tasks = ", ".join(TASKS)
+            raise ValueError(f"range {part!r} is no START:END; give frames (20:60), seconds (1s:2.5s) or {tasks}")
+        ranges.append((_frame(start or "0", fps), _frame(end or str(length), fps)))
+    return _resolve(ranges, length)
+
+
+def complement(ranges: Ranges, length: int) -> Ranges:
+    """Return the ranges between the ranges."""
+    edited = edited_frames([ranges], length)[0].tolist()
+    borders = [i for i in range(length + 1) if (i < length and not edited[i]) != (i > 0 and not edited[i - 1])]
+    return list(zip(borders[::2], borders[1::2], strict=True))
+
+
+def _frame(text: str, fps: float) -> int:
+    try:
+        return round(float(text[:-1]) * fps) if text.endswith("s") else int(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is neither a frame (20) nor a time in seconds (1.5s)") from None
+
+
+def _is_ranges(frames: Sequence) -> bool:
+    return all(
+        not isinstance(r, str) and len(r) == 2 and all(isinstance(v, int | np.integer) for v in r) for r in frames
+    )
+
+
+def _resolve(frames: str | Ranges, length: int) -> Ranges:
+    if isinstance(frames, str):
+        if frames not in TASKS:
+            raise ValueError(f"unknown edit {frames!r}; allowed: {', '.join(TASKS)}, or (start, end) ranges of frames")
+        return [(start, end) for start, end in TASKS[frames](length) if start < end]
+    if not frames:
+        raise ValueError("nothing to regenerate: give at least one (start, end) range of frames")
+    for start, end in frames:
+        if not 0 <= start < end <= length:
+            raise ValueError(
+                f"range ({start}, {end}) is outside the clip; it has frames 0 to {length}, and start < end"
+            )
+    return [(int(start), int(end)) for start, end in frames]
+
+
+def _check_task(task: str) -> None:
+    if task not in SLOTS:
+        raise ValueError(f"unknown editing task {task!r}; allowed: {', '.join(SLOTS)}")

@@ -1,0 +1,1 @@
+"""Turn results into cells, text and pages; reads results and computes nothing."""

@@ -1,0 +1,162 @@
+"""Turn a table's replications into cells: mean, 95 % interval, the paper's number, and which one is best."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+KINDS = ("real", "control", "method")
+ARROWS = {"higher": "↑", "lower": "↓", "real": "→", "none": ""}
+
+
+@dataclass(frozen=True)
+class Value:
+    """Hold a mean, the half-width of its 95 % interval (None: unknown) and how many replications it rests on."""
+
+    mean: float
+    half: float | None
+    count: int | None = None
+
+    def text(self, digits: int) -> str:
+        """Write the value with its interval, e.g. `0.500 ± 0.004`."""
+        if not math.isfinite(self.mean):
+            return "not finite"
+        mean = f"{self.mean:.{digits}f}"
+        return mean if self.half is None else f"{mean} ± {self.half:.{digits}f}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Hold what stands in one row and column: ours and the paper's, either may be missing."""
+
+    ours: Value | None
+    paper: Value | None
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Column:
+    """Hold one metric's key, heading and precision; `better` is higher, lower, real (closest to real) or none."""
+
+    key: str
+    label: str
+    better: str
+    digits: int
+
+    @property
+    def heading(self) -> str:
+        """The label with its arrow."""
+        return f"{self.label} {ARROWS[self.better]}".strip()
+
+
+@dataclass(frozen=True)
+class Line:
+    """Hold one row, its cells in the order of the columns."""
+
+    key: str
+    label: str
+    kind: str
+    note: str
+    replications: int
+    implemented: bool
+    cells: tuple[Cell, ...]
+
+    @property
+    def state(self) -> str:
+        """The number of replications, or say that there is none."""
+        if not self.implemented:
+            return "not in Kinema yet"
+        return str(self.replications) if self.replications else "not yet run"
+
+    @property
+    def has_paper(self) -> bool:
+        """Say whether the paper has a number for this row."""
+        return any(cell.paper for cell in self.cells)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Hold a table ready to be written in any format."""
+
+    columns: tuple[Column, ...]
+    lines: tuple[Line, ...]
+
+
+def grid(table: dict[str, Any], *, mark_best: bool = False) -> Grid:
+    """Compute every cell of a table with `columns` and `rows`; raises ValueError that names what is wrong."""
+    columns = tuple(_column(c) for c in table["columns"])
+    _refuse_twins([c.key for c in columns], "column")
+    _refuse_twins([r["key"] for r in table["rows"]], "row")
+    lines = tuple(_line(row, columns) for row in table["rows"])
+    return Grid(columns, _with_best(columns, lines) if mark_best else lines)
+
+
+def measure(values: list[float]) -> Value | None:
+    """Return the mean and 1.96 std / sqrt(n) with the population std; one replication has no interval."""
+    if not values:
+        return None
+    count = len(values)
+    mean = math.fsum(values) / count
+    if count == 1 or not math.isfinite(mean):
+        return Value(mean, None, count)
+    std = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / count)
+    return Value(mean, 1.96 * std / math.sqrt(count), count)
+
+
+def _column(spec: dict[str, Any]) -> Column:
+    better = spec.get("better") or "none"
+    if better not in ARROWS:
+        raise ValueError(f"column {spec['key']!r}: better is {better!r}, it should be one of {', '.join(ARROWS)}")
+    return Column(spec["key"], spec.get("label", spec["key"]), better, int(spec.get("digits", 3)))
+
+
+def _line(row: dict[str, Any], columns: tuple[Column, ...]) -> Line:
+    if row["kind"] not in KINDS:
+        raise ValueError(f"row {row['key']!r}: kind is {row['kind']!r}, it should be one of {', '.join(KINDS)}")
+    implemented = row.get("results") is not None
+    results, published = row.get("results") or [], row.get("published") or {}
+    cells = []
+    for column in columns:
+        found = [float(r[column.key]) for r in results if r.get(column.key) is not None]
+        cells.append(Cell(measure(found), _published(published.get(column.key))))
+    label = row.get("label", row["key"])
+    return Line(row["key"], label, row["kind"], row.get("note") or "", len(results), implemented, tuple(cells))
+
+
+def _published(value: Any) -> Value | None:
+    """Read a published number: `0.5`, `[0.5, 0.004]` or nothing."""
+    if value is None:
+        return None
+    mean, half = value if isinstance(value, list | tuple) else (value, None)
+    return Value(float(mean), None if half is None else float(half))
+
+
+def _with_best(columns: tuple[Column, ...], lines: tuple[Line, ...]) -> tuple[Line, ...]:
+    cells = [list(line.cells) for line in lines]
+    for i, column in enumerate(columns):
+        best = _best(column, i, lines)
+        if best is not None:
+            cells[best][i] = Cell(cells[best][i].ours, cells[best][i].paper, best=True)
+    return tuple(replace(line, cells=tuple(c)) for line, c in zip(lines, cells, strict=True))
+
+
+def _best(column: Column, index: int, lines: tuple[Line, ...]) -> int | None:
+    """Find the method whose interval lies apart from every other method's, on the better side."""
+    if column.better not in ("higher", "lower"):
+        return None
+    sign = 1 if column.better == "higher" else -1
+    ours = {n: line.cells[index].ours for n, line in enumerate(lines) if line.kind == "method"}
+    ours = {n: value for n, value in ours.items() if value is not None}
+    if len(ours) < 2 or any(value.half is None for value in ours.values()):
+        return None
+    first = max(ours, key=lambda n: sign * ours[n].mean)
+    lead = sign * ours[first].mean - ours[first].half
+    apart = all(lead > sign * value.mean + value.half for n, value in ours.items() if n != first)
+    return first if apart else None
+
+
+def _refuse_twins(keys: list[str], what: str) -> None:
+    twins = sorted({key for key in keys if keys.count(key) > 1})
+    if twins:
+        raise ValueError(f"two {what}s of the table have the key {twins[0]!r}: give each its own")

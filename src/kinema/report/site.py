@@ -1,0 +1,142 @@
+"""Write a table as Markdown, CSV, LaTeX and a web page: ours beside the paper's, the same bytes for the same input."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinema.atomic import write_text
+from kinema.report.cells import Cell, Grid, Line, grid
+from kinema.report.page import html_page
+from kinema.report.text import LEGEND, flatten, notes_by_text, notice, unfinished
+
+if TYPE_CHECKING:
+    from kinema.types import Motion
+
+
+def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[Motion]] | None = None) -> list[Path]:
+    """Write table.md, table.csv, table.tex and index.html into `out_dir` and give their paths.
+
+    `table` has name, title, columns, rows and, if known, corpus, scale, comparable (whether the published numbers are
+    of the same corpus and scale), provenance, footnotes and breakdowns. `motions` are shown by row key.
+    """
+    main = grid(table, mark_best=table.get("mark_best", True))
+    breakdowns = [(b["title"], grid(b)) for b in table.get("breakdowns", ()) if b["rows"]]
+    known = [line.key for line in main.lines]
+    stray = sorted(set(motions or {}) - set(known))
+    if stray:
+        raise ValueError(f"motions are given for {stray[0]!r}, which is no row of the table; rows: {', '.join(known)}")
+    out = Path(out_dir)
+    return [
+        write_text(out / "table.md", markdown(table, main, breakdowns)),
+        write_text(out / "table.csv", csv_text(main)),
+        write_text(out / "table.tex", latex(table, main)),
+        write_text(out / "index.html", html_page(table, main, breakdowns, motions or {})),
+    ]
+
+
+def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]]) -> str:
+    """Write the whole report but the motions."""
+    parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), LEGEND]
+    notes = [f"- {note}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))]
+    if notes:
+        parts += ["## Notes", "\n".join(notes)]
+    for title, content in breakdowns:
+        parts += [f"## {title}", _markdown_grid(content)]
+    facts = flatten(table.get("provenance", {}))
+    if facts:
+        parts += ["## Provenance", "\n".join(f"- {key}: `{value}`" for key, value in facts)]
+    return "\n\n".join(parts) + "\n"
+
+
+def csv_text(main: Grid) -> str:
+    """Write one line per row; per metric the mean, half-interval and count of ours and the paper's two numbers."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    names = ("", "_half", "_n", "_paper", "_paper_half")
+    writer.writerow(["key", "label", "kind", "replications", *(c.key + n for c in main.columns for n in names)])
+    for line in main.lines:
+        numbers = [text for cell in line.cells for text in _csv_cell(cell)]
+        writer.writerow([line.key, line.label, line.kind, line.replications, *numbers])
+    return file.getvalue()
+
+
+def latex(table: dict[str, Any], main: Grid) -> str:
+    """Write a booktabs table, the paper's numbers in a second line below ours."""
+    arrows = {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "→": r"$\rightarrow$"}
+    headings = [_tex(c.label) + arrows.get(c.heading[-1], "") for c in main.columns]
+    body = []
+    for before, line in zip((None, *main.lines), main.lines, strict=False):
+        if before is not None and before.kind != line.kind:
+            body.append(r"\midrule")
+        body.append(
+            " & ".join([_tex(line.label), line.state, *(_tex_ours(c, line) for c in _ours(main, line))]) + r" \\"
+        )
+        if line.has_paper:
+            paper = [_tex_value(text) if text else "" for text in _paper(main, line)]
+            body.append(" & ".join([r"\quad published", "", *paper]) + r" \\")
+    return "\n".join(
+        [
+            f"% {notice(table)}",
+            r"\begin{tabular}{lr" + "c" * len(headings) + "}",
+            r"\toprule",
+            " & ".join(["", "$n$", *headings]) + r" \\",
+            r"\midrule",
+            *body,
+            r"\bottomrule",
+            r"\end{tabular}",
+            "",
+        ]
+    )
+
+
+def _markdown_grid(content: Grid) -> str:
+    head = ["", "n", *(c.heading for c in content.columns)]
+    rows = [head, [":--", "--:", *("--:" for _ in content.columns)]]
+    for line in content.lines:
+        ours = [f"**{text}**" if best else text or "–" for text, best in _ours(content, line)]
+        ours = ours if line.replications else [""] * len(ours)
+        rows.append([line.label, line.state, *ours])
+        if line.has_paper:
+            rows.append(
+                [f"&nbsp;&nbsp;*{line.label}, paper*", "", *(f"*{t}*" if t else "" for t in _paper(content, line))]
+            )
+    return "\n".join("| " + " | ".join(text.replace("|", "\\|") for text in row) + " |" for row in rows)
+
+
+def _ours(content: Grid, line: Line) -> list[tuple[str, bool]]:
+    return [
+        (cell.ours.text(column.digits) if cell.ours else "", cell.best)
+        for column, cell in zip(content.columns, line.cells, strict=True)
+    ]
+
+
+def _paper(content: Grid, line: Line) -> list[str]:
+    return [
+        cell.paper.text(column.digits) if cell.paper else ""
+        for column, cell in zip(content.columns, line.cells, strict=True)
+    ]
+
+
+def _csv_cell(cell: Cell) -> list[str]:
+    ours = (cell.ours.mean, cell.ours.half, cell.ours.count) if cell.ours else (None, None, None)
+    paper = (cell.paper.mean, cell.paper.half) if cell.paper else (None, None)
+    return ["" if number is None else f"{number:.8g}" for number in (*ours, *paper)]
+
+
+def _tex_ours(cell: tuple[str, bool], line: Line) -> str:
+    text, best = cell
+    if not text:
+        return "--" if line.replications else ""
+    return rf"$\mathbf{{{_tex_value(text).strip('$')}}}$" if best else _tex_value(text)
+
+
+def _tex_value(text: str) -> str:
+    return text if text == "not finite" else f"${text.replace('±', chr(92) + 'pm')}$"
+
+
+def _tex(text: str) -> str:
+    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)

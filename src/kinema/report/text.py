@@ -1,0 +1,53 @@
+"""Say in words what a report's reader must know: whose corpus, what is missing, where the numbers come from."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kinema.report.cells import Grid
+
+LEGEND = (
+    "Mean ± 95 % interval over n replications (1.96 std / √n; one replication has none). "
+    "Bold: the best method, if its interval overlaps no other method's."
+)
+PAPER_CORPORA = {"humanml3d": "HumanML3D", "kit_ml": "KIT-ML"}
+
+
+def notice(table: dict[str, Any]) -> str:
+    """Say which corpus the numbers are of, and whether the published ones may be held against them."""
+    corpus = str(table.get("corpus") or "not recorded")
+    scale = table.get("scale")
+    paper = PAPER_CORPORA.get(corpus, "HumanML3D")
+    here = f"Corpus: {PAPER_CORPORA.get(corpus, corpus)}" + (f"; scale: {scale}" if scale else "")
+    if table.get("comparable"):
+        return f"{here}. The paper's numbers are of the same corpus."
+    if corpus in PAPER_CORPORA:
+        return f"{here}. The paper's numbers are {paper} results of full-size training and are not comparable."
+    return f"{here}. The paper's numbers are {paper} results and are not comparable."
+
+
+def unfinished(main: Grid) -> list[str]:
+    """Name the rows that have no results, those without an implementation apart."""
+    idle = [line for line in main.lines if not line.replications]
+    groups = {
+        "Not yet run": [line.label for line in idle if line.implemented],
+        "Not in Kinema yet": [line.label for line in idle if not line.implemented],
+    }
+    return [f"{what}: {', '.join(names)}." for what, names in groups.items() if names]
+
+
+def notes_by_text(main: Grid) -> list[str]:
+    """Return the rows' notes, rows of one note together."""
+    notes: dict[str, list[str]] = {}
+    for line in main.lines:
+        if line.note:
+            notes.setdefault(line.note, []).append(line.label)
+    return [f"{', '.join(labels)}: {note}" for note, labels in notes.items()]
+
+
+def flatten(facts: Any, prefix: str = "") -> list[tuple[str, str]]:
+    """Return nested facts as sorted lines of (dotted key, text)."""
+    if isinstance(facts, dict):
+        return [line for key in sorted(facts, key=str) for line in flatten(facts[key], f"{prefix}.{key}".lstrip("."))]
+    text = "; ".join(map(str, facts)) if isinstance(facts, list | tuple) else str(facts)
+    return [(prefix, text)]

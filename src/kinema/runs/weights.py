@@ -1,0 +1,117 @@
+"""Save a module with the spec that rebuilds it as one safetensors file, and load it back anywhere.
+
+The header holds one JSON entry, `kinema`: `{"kinema": version, "spec": {"_target_": ...}, ...what the caller adds}`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from kinema import __version__
+from kinema.runs.build import build
+from kinema.atomic import replacing
+
+WEIGHTS = "weights.safetensors"
+"""The file's name in a run folder."""
+
+
+def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any) -> Path:
+    """Write the module's tensors, its spec and `meta` (plain containers), whole or not at all.
+
+    Raises ValueError for a spec that is not plain data, OSError (naming the path) if the disk refuses.
+    """
+    path = Path(path)
+    try:
+        header = json.dumps({"kinema": __version__, "spec": spec, **meta}, sort_keys=True)
+    except TypeError as error:
+        raise ValueError(
+            f"spec and metadata of {path} must be plain dicts, lists, strings and numbers: {error}"
+        ) from None
+    try:
+        with replacing(path) as temporary:
+            save_file(_separate(module.state_dict()), temporary, metadata={"kinema": header})
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())
+    except (OSError, SafetensorError) as error:
+        raise OSError(f"could not write {path}: {error}; free disk space or choose another folder") from error
+    return path
+
+
+def load(path: str | Path, device: torch.device | str = "cpu") -> tuple[nn.Module, dict[str, Any]]:
+    """Rebuild a saved module in eval mode and give it with its metadata; the spec is also kept as `module.spec`.
+
+    Raises FileNotFoundError, or ValueError for a file that is damaged, foreign or of another version of a class.
+    """
+    path = Path(path)
+    state, meta = _read(path)
+    # Initial values are drawn and then overwritten: the caller's random state must not notice.
+    with torch.random.fork_rng(devices=[]):
+        module = build(meta["spec"])
+    if not isinstance(module, nn.Module):
+        raise ValueError(f"the spec in {path} describes {type(module).__name__}, not a module; write it again")
+    try:
+        module.load_state_dict(state)
+    except RuntimeError as error:
+        raise ValueError(
+            f"the weights in {path}, written by kinema {meta['kinema']}, do not fit version {__version__}: {error}"
+        ) from None
+    module.spec = meta["spec"]
+    return module.to(device).eval(), meta
+
+
+def read_meta(path: str | Path) -> dict[str, Any]:
+    """Read the metadata alone: milliseconds, whatever the size of the weights."""
+    path = Path(path)
+    try:
+        with safe_open(path, "pt") as file:
+            return _meta(path, file.metadata())
+    except (SafetensorError, OSError) as error:
+        raise _unreadable(path, error) from None
+
+
+def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    try:
+        with safe_open(path, "pt") as file:
+            return {key: file.get_tensor(key) for key in file.keys()}, _meta(path, file.metadata())  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise _unreadable(path, error) from None
+
+
+def _meta(path: Path, header: dict[str, str] | None) -> dict[str, Any]:
+    try:
+        meta = json.loads((header or {})["kinema"])
+        if {"kinema", "spec"} <= meta.keys():
+            return meta
+    except (KeyError, json.JSONDecodeError, AttributeError):
+        pass
+    raise ValueError(
+        f"{path} was not written by kinema (no spec in its header); "
+        "load a published checkpoint with `kinema import KIND FILE --out RUN`"
+    )
+
+
+def _unreadable(path: Path, error: Exception) -> Exception:
+    if not path.is_file():
+        return FileNotFoundError(f"no weights at {path}; train this stage first or check the path")
+    return ValueError(f"{path} cannot be read ({error}): truncated or no safetensors file; write or download it again")
+
+
+def _separate(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Make every tensor contiguous and copy those that share memory, which the format has no word for."""
+    seen: set[int] = set()
+    result = {}
+    for key, value in state.items():
+        value = value.detach().contiguous()
+        storage = value.untyped_storage()
+        shared = storage.data_ptr() in seen or storage.nbytes() != value.nbytes
+        seen.add(storage.data_ptr())
+        result[key] = value.clone() if shared else value
+    return result

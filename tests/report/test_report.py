@@ -1,0 +1,174 @@
+"""Check a report's numbers and words: intervals, bold, missing rows, whose corpus, the same bytes again."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from kinema.motion.skeleton import HUMANML3D
+from kinema.report.cells import grid, measure
+from kinema.report.site import render
+from kinema.types import Motion
+
+COLUMNS = [
+    {"key": "r1", "label": "R@1", "better": "higher", "digits": 3},
+    {"key": "fid", "label": "FID", "better": "lower", "digits": 2},
+]
+
+
+def row(key: str, kind: str, results: list | None, published: dict | None = None) -> dict:
+    return {"key": key, "label": key.upper(), "kind": kind, "published": published, "results": results}
+
+
+def runs(r1: list[float], fid: list[float]) -> list[dict]:
+    return [{"r1": a, "fid": b} for a, b in zip(r1, fid, strict=True)]
+
+
+@pytest.fixture
+def table() -> dict:
+    return {
+        "name": "table5",
+        "title": "Table <5>",
+        "columns": COLUMNS,
+        "rows": [
+            row("real", "real", runs([0.90, 0.92], [0.0, 0.0])),
+            row("a", "method", runs([0.50, 0.52], [1.0, 1.1]), {"r1": [0.5, 0.004], "fid": 0.114}),
+            row("b_%", "method", runs([0.51, 0.53], [3.0, 3.1])),
+            row("c", "method", [], {"r1": [0.47, 0.003]}),
+            row("d", "method", None),
+        ],
+        "corpus": "open-mocap",
+        "scale": "tiny",
+        "provenance": {"evaluator": "abc123", "corpus": {"name": "open-mocap", "hash": "ffee"}, "seeds": [0, 1]},
+        "footnotes": ["text encoder: MiniLM"],
+    }
+
+
+def texts(table: dict, folder, motions=None) -> dict[str, str]:
+    return {path.name: path.read_text() for path in render(table, folder, motions)}
+
+
+def test_interval_is_the_published_formula():
+    values = [0.50, 0.52, 0.49, 0.55]
+    value = measure(values)
+    assert value.mean == pytest.approx(np.mean(values))
+    assert value.half == pytest.approx(1.96 * np.std(values) / math.sqrt(4))
+    assert measure([]) is None
+    assert measure([0.5]).text(3) == "0.500"  # one replication: no interval, not an interval of zero
+    assert measure([0.5, math.nan]).text(3) == "not finite"
+
+
+def test_all_formats_hold_ours_and_the_papers(table, tmp_path):
+    files = texts(table, tmp_path)
+    assert list(files) == ["table.md", "table.csv", "table.tex", "index.html"]
+    assert "| A | 2 | 0.510 ± 0.014 |" in files["table.md"]
+    assert "*0.500 ± 0.004* | *0.11*" in files["table.md"]
+    assert r"A & 2 & $0.510 \pm 0.014$" in files["table.tex"]
+    assert r"B\_\%" in files["table.tex"]
+    assert "0.510<i> ± 0.014</i>" in files["index.html"]
+    assert "Table &lt;5&gt;" in files["index.html"]
+    lines = {line["key"]: line for line in csv.DictReader(files["table.csv"].splitlines())}
+    assert float(lines["a"]["r1"]) == pytest.approx(0.51)
+    assert float(lines["a"]["r1_paper_half"]) == 0.004
+    assert lines["c"]["r1"] == ""
+    assert lines["c"]["r1_paper"] == "0.47"
+
+
+def test_bold_only_where_intervals_are_apart(table):
+    best = {(line.key, i) for line in grid(table, mark_best=True).lines for i, c in enumerate(line.cells) if c.best}
+    assert best == {("a", 1)}  # R@1 overlaps; the real row does not compete
+    table["rows"][1]["results"] = table["rows"][1]["results"][:1]  # no interval, no claim
+    assert not any(c.best for line in grid(table, mark_best=True).lines for c in line.cells)
+
+
+def test_missing_rows_say_so(table, tmp_path):
+    files = texts(table, tmp_path)
+    assert "| C | not yet run |  |  |" in files["table.md"]
+    assert "| D | not in Kinema yet |  |  |" in files["table.md"]
+    for text in (files["table.md"], files["index.html"]):
+        assert "Not yet run: C." in text
+        assert "Not in Kinema yet: D." in text
+
+
+@pytest.mark.parametrize(
+    ("corpus", "comparable", "expected"),
+    [
+        ("open-mocap", False, "Corpus: open-mocap; scale: tiny. The paper's numbers are HumanML3D results and are not"),
+        ("kit_ml", False, "numbers are KIT-ML results of full-size training and are not comparable"),
+        ("humanml3d", True, "Corpus: HumanML3D; scale: tiny. The paper's numbers are of the same corpus."),
+        (None, False, "Corpus: not recorded"),
+    ],
+)
+def test_corpus_is_named(table, tmp_path, corpus, comparable, expected):
+    files = texts({**table, "corpus": corpus, "comparable": comparable}, tmp_path)
+    assert expected in files["table.md"]
+    assert expected in files["table.tex"]
+    assert expected.replace("'", "&#x27;") in files["index.html"]
+
+
+def test_provenance_and_breakdowns(table, tmp_path):
+    table["breakdowns"] = [
+        {"title": "By source", "columns": COLUMNS[:1], "rows": [row("a: cmu", "method", [{"r1": 0.25, "n": 3}])]},
+        {"title": "By nothing", "columns": COLUMNS, "rows": []},
+    ]
+    files = texts(table, tmp_path)
+    facts = ["- corpus.hash: `ffee`", "- corpus.name: `open-mocap`", "- evaluator: `abc123`", "- seeds: `0; 1`"]
+    assert "\n".join(facts) in files["table.md"]
+    assert "<dt>corpus.hash</dt><dd>ffee</dd>" in files["index.html"]
+    assert "## By source" in files["table.md"]
+    assert "| A: CMU | 1 | 0.250 |" in files["table.md"]
+    assert "By nothing" not in files["table.md"]
+
+
+def test_same_input_gives_the_same_bytes(table, tmp_path, motions):
+    shuffled = copy.deepcopy(table)
+    shuffled["provenance"] = dict(reversed(table["provenance"].items()))
+    first, second = render(table, tmp_path / "a", motions), render(shuffled, tmp_path / "b", motions)
+    assert [p.read_bytes() for p in first] == [p.read_bytes() for p in second]
+
+
+@pytest.fixture
+def motions() -> dict[str, list[Motion]]:
+    def make(text: str, seed: int) -> Motion:
+        joints = np.random.default_rng(seed).normal(size=(40, 22, 3)).astype(np.float32)
+        return Motion(joints, np.zeros((40, 0), np.float32), text, HUMANML3D.name, HUMANML3D.fps, seed)
+
+    return {"b_%": [make("walk", 0), make("jump", 1)], "a": [make("jump", 2), make("walk", 3)]}
+
+
+def test_motions_of_one_prompt_stand_together(table, tmp_path, motions):
+    page = texts(table, tmp_path, motions)["index.html"]
+    parts = page.split("<h3 class='kinema-group'>")[1:]
+    assert [part.split("<")[0] for part in parts] == ["jump", "walk"]
+    for part in parts:  # in the order of the rows
+        assert part.index("kinema-label'>A<") < part.index("kinema-label'>B_%<")
+    assert "http" not in page
+
+
+def test_motions_without_a_shared_prompt_stand_by_row(table, tmp_path, motions):
+    page = texts(table, tmp_path, {"a": motions["a"]})["index.html"]
+    assert page.count("<h3 class='kinema-group'>A</h3>") == 1
+    assert page.count("<figure") == 2
+
+
+def test_bad_tables_are_named(table, tmp_path, motions):
+    with pytest.raises(ValueError, match="'zzz', which is no row of the table; rows: real, a"):
+        render(table, tmp_path, {"zzz": motions["a"]})
+    with pytest.raises(ValueError, match="kind is 'baseline', it should be one of real, control, method"):
+        render({**table, "rows": [row("x", "baseline", [])]}, tmp_path)
+    with pytest.raises(ValueError, match="better is 'up'"):
+        render({**table, "columns": [{**COLUMNS[0], "better": "up"}]}, tmp_path)
+    with pytest.raises(ValueError, match="two rows of the table have the key 'x'"):
+        render({**table, "rows": [row("x", "method", []), row("x", "method", [])]}, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_rendering_needs_no_torch():
+    code = "import sys, kinema.report.site; sys.exit('torch' in sys.modules or 'hydra' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=120).returncode == 0
