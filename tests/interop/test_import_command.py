@@ -50,7 +50,7 @@ READS_WORDS = ("attt2m", "mmm", "bad")
 
 
 @pytest.fixture
-def golden_import(shared, tmp_path, monkeypatch, make_clip):
+def golden_import(golden_file, tmp_path, monkeypatch, make_clip):
     """Give a function that imports a golden state dict from a file as published, for texts of 48 numbers."""
     monkeypatch.chdir(tmp_path)
     np.save("Mean.npy", np.zeros(263))
@@ -59,7 +59,7 @@ def golden_import(shared, tmp_path, monkeypatch, make_clip):
 
     def run(name: str, *more: str) -> str:
         kind, file, prefix, wrapper = GOLDEN[name]
-        tensors = load_file(shared / f"golden/vq/{file}.safetensors")
+        tensors = load_file(golden_file(f"vq/{file}.safetensors"))
         state = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
         torch.save({wrapper: state, "ep": 3, "best": np.float64(0.1)}, f"{name}.tar")
         part = interop.KINDS[kind].part
@@ -76,7 +76,6 @@ def golden_import(shared, tmp_path, monkeypatch, make_clip):
     return run
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", CHAINS)
 def test_published_files_become_a_run_that_generates(golden_import, name):
     links = [word for part, of in CHAINS[name].items() for word in (f"--{part}", golden_import(of))]
@@ -101,7 +100,6 @@ def test_published_files_become_a_run_that_generates(golden_import, name):
     np.testing.assert_array_equal(again[0].features, walk.features)
 
 
-@pytest.mark.shared
 def test_a_residual_transformer_completes_the_codes(golden_import):
     tokenizer, residual = golden_import("momask-rvq"), golden_import("residual")
     links = ["--tokenizer", tokenizer]
@@ -111,7 +109,6 @@ def test_a_residual_transformer_completes_the_codes(golden_import):
     assert read_json(Path(residual) / "text.json")["encoder"] == "clip_b32"
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", ["t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq"])
 def test_shipped_deviations_are_not_divided_again(golden_import, name):
     std = artifacts.load(f"{golden_import(name)}/{artifacts.WEIGHTS}")[0].representation.std
