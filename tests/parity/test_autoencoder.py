@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 
 from kinema import interop
 from kinema.motion.statistics import Statistics
-from kinema.types import Latents, MotionBatch
+from kinema.types import Latents, LatentSpace, MotionBatch
 
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 
@@ -33,7 +33,7 @@ def test_the_published_sizes_load(golden_file, name, width):
     (shapes,) = (v for k, v in manifest.items() if k.startswith(name))
     module = interop.load("mardm-ae", {"ae": {k: torch.zeros(shape) for k, shape in shapes.items()}})
     assert module.representation.width == width
-    assert (module.latent_dim, module.downsample) == (512, 4)
+    assert module.space == LatentSpace("continuous", 512, 49, 4)
     if width == 67:
         assert sum(p.numel() for p in module.parameters()) == 18_834_499
 

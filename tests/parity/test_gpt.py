@@ -9,7 +9,8 @@ from safetensors.torch import load_file
 from kinema import interop
 from kinema.generators.gpt.model import T2MGPT
 from kinema.generators.gpt.sampling import GptSampling
-from kinema.generators.gpt.training import GptDraws, corrupt, targets
+from kinema.generators.gpt.training import GptDraws, corrupt
+from kinema.generators.tokens.targets import targets
 from kinema.interop import gpt
 from kinema.types import Latents, TextFeatures
 

@@ -9,10 +9,9 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.generators.momask.cascade import Cascade
 from kinema.generators.momask.model import MoMask, MoMaskDraws, MoMaskSampling, corrupt, select
-from kinema.generators.momask.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
 from kinema.generators.tokens.encoder import guided_logits
+from kinema.generators.tokens.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
 from kinema.interop import momask, momask_residual
 from kinema.motion.statistics import Statistics
 from kinema.types import Known, Latents, TextFeatures, frame_mask
@@ -174,11 +173,12 @@ def test_residual_layers_with_recorded_noise(golden_file):
     assert torch.equal(completed.codes, expected_codes(golden, "residual_gumbel"))
 
 
-def test_cascade_to_motion(golden_file):
+def test_base_and_residual_to_motion(golden_file):
     """Compare the frames before each end; behind it the published decoder goes on."""
     golden = read(golden_file, "momask_generate")
-    cascade = Cascade(load_base(golden_file), load_residual(golden_file))
-    latents = cascade.sample(features(golden), golden["in.lens"] * 4, seeds=SEEDS, sampling=GREEDY)
+    model = load_base(golden_file)
+    model.attach("residual", load_residual(golden_file))
+    latents = model.sample(features(golden), golden["in.lens"] * 4, seeds=SEEDS, sampling=GREEDY)
     assert torch.equal(latents.codes, expected_codes(golden, "residual_greedy"))
     tokenizer = interop.load(
         "momask-rvq",

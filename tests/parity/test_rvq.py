@@ -40,7 +40,7 @@ def tokens(codes: Tensor) -> Latents:
 
 def test_encode_and_decode(golden):
     tensors, model = golden
-    assert model.quantizers == LAYERS
+    assert model.space.quantizers == LAYERS
     latents = model.encode(motion(tensors["in.x"]))
     assert torch.equal(latents.codes, tensors["out.indices"])
     assert torch.equal(model.encode(motion(tensors["in.x_odd"])).codes, tensors["out.indices_odd"])

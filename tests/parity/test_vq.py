@@ -13,7 +13,7 @@ from kinema.motion.representation import Representation
 from kinema.motion.statistics import Statistics
 from kinema.tokenizers.codebook import CodebookDraws, EMACodebook, tile
 from kinema.tokenizers.vq import VQVAE
-from kinema.types import Latents, MotionBatch
+from kinema.types import Latents, LatentSpace, MotionBatch
 
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 
@@ -82,7 +82,7 @@ def test_published_sizes_load(kind, size, dim, count):
     state = {theirs: ours.state_dict()[name] for theirs, name in names().items()}
     assert len(state) == 67
     model = interop.load(kind, {"net": state})
-    assert (model.codebook_size, model.code_dim, model.quantizers, model.downsample) == (size, dim, 1, 4)
+    assert model.space == LatentSpace("codes", dim, 49, 4, size)
     assert model.quantizer.reset == ("unused" if kind == "mmm-vq" else "always")
     assert round(sum(p.numel() for p in model.parameters()) / 1e6, 3) == count
 
