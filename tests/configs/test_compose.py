@@ -105,7 +105,7 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
 # Parameters at paper scale, counted from STATE_DICTS' shapes (millions there, codebooks and CLIP excluded). Published
 # files count more: two tables of positions (T2M-GPT, AttT2M, MMM 2 x 51 x 1024, BAD 2 x 52 x 1024) that are no
 # parameters here, and BAMM's 512 numbers of a mask token that nothing reads. MotionGPT is flan-t5-base (247,577,856)
-# with 32,615 instead of 32,128 words in its two tables of 768 columns. MARDM: §9.
+# with 32,615 instead of 32,128 words in its two tables of 768 columns. MARDM §3, §4.
 CONV = {"humanml3d": 19_436_807, "kit_ml": 19_399_931}
 CONV_32 = {"humanml3d": 17_961_767, "kit_ml": 17_924_891}
 SIZES = {
