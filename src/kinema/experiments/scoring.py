@@ -85,7 +85,7 @@ class Scorer:
         )
         if self.cfg.source == "real":
             result.metrics["half_fid"] = self._half_fid(replication)
-        result.metrics |= self.source.measured()
+        result.metrics.update(self.source.measured())
         return result
 
     def _batches(self, replication: int) -> Iterator[MotionBatch]:
