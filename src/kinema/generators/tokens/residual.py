@@ -19,9 +19,6 @@ from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
-AGREE = {"codebook_size": "codebook_size", "most": "max_latents", "unit": "downsample"}
-"""Fields of the space in which base and residual transformer agree, and the options that set them."""
-
 STREAM = 1
 """Keeps the residual layers' draws apart from those of the base tokens."""
 
@@ -111,8 +108,12 @@ class ResidualTransformer(LatentModel):
         """Return the codes that this makes of a base generator's; raises ValueError if it cannot complete them."""
         if base.quantizers != 1:
             raise ValueError(f"the base makes {base.quantizers} codes per position; give one that makes 1")
-        for name, option in AGREE.items():
-            ours, theirs = getattr(self.space, name), getattr(base, name)
+        own = self.space
+        for option, ours, theirs in (
+            ("codebook_size", own.codebook_size, base.codebook_size),
+            ("max_latents", own.most, base.most),
+            ("downsample", own.unit, base.unit),
+        ):
             if ours != theirs:
                 raise ValueError(
                     f"{option} is {theirs} in the base and {ours} in the residual transformer; train both on the same "
