@@ -107,7 +107,7 @@ def test_kit_goes_all_the_way(brief):
     for name, width in (("matching", 64), ("generator", None)):
         meta = artifacts.read_meta(row.runs[name] / "weights.safetensors")
         assert width is None or artifacts.load(row.runs[name] / "weights.safetensors")[0].representation.width == width
-        assert meta["stage"] == name
+        assert meta["part"] == name
     redundant = run_stage(compose([*kit, "representation=redundant"]), "tokenizer")
     assert artifacts.load(redundant.weights)[0].representation.width == 251
 

@@ -10,7 +10,6 @@ from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[3] / "conf"
 SCALES = ("paper", "tiny", "smoke")
-STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation")
@@ -57,8 +56,6 @@ def plain(node: Any) -> Any:
 def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
     checks = [("scale.name", cfg.scale.name, SCALES)]
-    if "stage" in cfg:
-        checks.append(("stage", cfg.stage, STAGES))
     if "source" in cfg:
         checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
         checks.append(("edit.task", cfg.edit.task, EDITS))

@@ -58,7 +58,7 @@ class StageModule(LightningModule):
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
         """Return the named losses of one batch."""
-        raise TypeError(f"{type(self).__name__} is abstract: use TokenizerModule, GeneratorModule or EvaluatorModule")
+        raise TypeError(f"{type(self).__name__} is abstract: use MotionModule or GeneratorModule")
 
     def model_loss(self, *args: Any, **kwargs: Any) -> Losses:
         """Call the model's loss, compiled if asked for."""
@@ -101,19 +101,11 @@ class StageModule(LightningModule):
             torch.nn.utils.clip_grad_norm_(part.parameters(), self.recipe.clip)
 
 
-class TokenizerModule(StageModule):
-    """Train a tokenizer, or any model whose loss reads motion alone."""
+class MotionModule(StageModule):
+    """Train what reads batches of motion as they are: a tokenizer, or an evaluator of motion and its captions."""
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
-        """Reconstruct the windows."""
-        return self.model_loss(batch, generator=generator, shard=shard)
-
-
-class EvaluatorModule(StageModule):
-    """Train an evaluator on captioned motion."""
-
-    def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
-        """Contrast motion with its captions."""
+        """Hand the batch to the model."""
         return self.model_loss(batch, generator=generator, shard=shard)
 
 

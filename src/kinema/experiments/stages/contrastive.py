@@ -1,0 +1,31 @@
+"""Fit the CLIP-style evaluator: motion and text match by cosine (CLIP_EVALUATOR)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from kinema.experiments.stages.judge import JudgeStage
+
+if TYPE_CHECKING:
+    from kinema.text.tokens import TokenTable
+
+
+class ContrastiveStage(JudgeStage):
+    """Fit the evaluator behind the CLIP-score."""
+
+    name = "contrastive"
+    node = "evaluator.contrastive"
+    reads = ("evaluator.tokens", "evaluator.tokens_path")
+    given_as = "clip"
+
+    def vocabulary(self, cfg: DictConfig) -> TokenTable:
+        """Return the token table."""
+        from kinema.text.tokens import clip_tokens
+
+        return clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
+
+    def spec(self, cfg: DictConfig) -> dict[str, Any]:
+        """Return the model's spec, as wide as the token table."""
+        return {**super().spec(cfg), "token_width": self.vocabulary(cfg).embedding.shape[1]}
