@@ -23,6 +23,7 @@ from kinema.experiments.evaluation import Row
 from kinema.experiments.instantiate import cached, encode_captions, read_model, text_encoder
 from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
+from kinema.motion.skeleton import DIMS
 from kinema.runs.build import build
 from kinema.text.cache import CachedTextEncoder
 from kinema.training.fit import Machine, find_device
@@ -45,12 +46,13 @@ class Scorer:
         self.device = find_device(cfg.trainer.accelerator)
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
-        self.data = MotionDataModule(store_path, kind="clips", batch_size=self.protocol.pool, steps=1, seed=cfg.seed)
         words = {key: stage.vocabulary(cfg) for key, stage in judges().items()}
         models = {key: self._judge(row.judges[stage.name], words[key]) for key, stage in judges().items()}
         self.matching, self.contrastive = models["t2m"], models["clip"]
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.source = self._source(row)
+        judged = (model.representation.kind for model in models.values())
+        self.data = self._clips(self.source.dims, *judged)
         self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
         sampling = plain(cfg.generator.sampling) if cfg.source == "generation" else None
         self.provenance = {
@@ -89,6 +91,11 @@ class Scorer:
             result.metrics["half_fid"] = self._half_fid(replication)
         result.metrics.update(self.source.measured())
         return result
+
+    def _clips(self, *dims: str) -> MotionDataModule:
+        """Serve the columns that all of several readers read."""
+        widest = max(dims, key=DIMS.index)
+        return MotionDataModule(self.store.path, kind="clips", batch_size=self.protocol.pool, steps=1, dims=widest)
 
     def _batches(self, replication: int) -> Iterator[MotionBatch]:
         protocol = self.protocol
@@ -158,7 +165,8 @@ class Scorer:
     @torch.no_grad()
     def _training_latents(self, tokenizer: Any, batches: int = 16) -> torch.Tensor:
         """Return the values or codes of a part of the training clips, one row per position."""
-        drawn = self.data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
+        data = self._clips(tokenizer.representation.kind)
+        drawn = data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
         rows = []
         for _, batch in zip(range(batches), drawn, strict=False):
             latents = tokenizer.encode(batch.to(self.device))

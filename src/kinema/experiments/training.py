@@ -54,6 +54,7 @@ def make_model(
         steps=recipe.steps,
         num_workers=cfg.data.workers,
         legacy_windows=recipe.legacy_windows,
+        dims=stage.dims(cfg),
     )
     callbacks = stage.callbacks(cfg, module, store, needs, folder.path / "samples")
     config, logger = plain(cfg), plain(cfg.logger)
