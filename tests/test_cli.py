@@ -162,7 +162,7 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
     fails(capsys, [*make[:-1], "a.gif", "--frames", "8"], "--out a.gif has no known suffix; choose one of .html")
     fails(capsys, ["generate", " ", "--run", str(run), "--out", "a.npz", "--frames", "8"], "text 0 is empty")
     fails(capsys, ["generate", "x", "--run", "runs/none", "--out", "a.npz"], "no run folder at runs/none")
-    fails(capsys, ["generate", "x", "--run", "runs/ae", "--out", "a.npz"], "give the run folder of a generator")
+    fails(capsys, ["generate", "x", "--run", "runs/ae", "--out", "a.npz"], "give the folder of a 'generator' run")
     fails(
         capsys,
         ["generate", "x", "--run", str(run), "--out", "a.npz", "--device", "nothing:0"],

@@ -14,11 +14,11 @@ import torch
 from hydra.errors import HydraException
 
 from kinema import cli
+from kinema.atomic import write_json
 from kinema.experiments.config import CONF, compose
 from kinema.motion.statistics import Statistics
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.parts import write_json
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
@@ -169,7 +169,7 @@ def checkout(tmp_path, monkeypatch):
         module = build(spec)
         if stage == "tokenizer":
             module.representation.fit(Statistics(np.zeros(67), np.full(67, 0.05)))
-        artifacts.save(module, spec, tmp_path / "runs" / stage / name / "weights.safetensors")
+        weights.save(module, spec, tmp_path / "runs" / stage / name / "weights.safetensors", part=stage)
     folder = tmp_path / "runs" / "generator" / "mardm_sit-essential-s0-0"
     write_json(folder / "upstream.json", {"tokenizer": "../../tokenizer/ae"})
     write_json(folder / "text.json", {"encoder": "hashed", "path": None})

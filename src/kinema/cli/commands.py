@@ -24,8 +24,9 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
-from kinema.runs import weights as artifacts
-from kinema.runs.parts import LENGTH, read_json
+from kinema.runs import weights
+from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.parts import LENGTH
 from kinema.types import Motion
 
 
@@ -120,8 +121,8 @@ def doctor(options: argparse.Namespace) -> int:
 def info(options: argparse.Namespace) -> None:
     """Describe a run folder or a weights file."""
     path = Path(options.run)
-    file = path / artifacts.WEIGHTS if path.is_dir() else path
-    meta = artifacts.read_meta(file)
+    file = RunFolder(path).weights if path.is_dir() else path
+    meta = weights.read_meta(file)
     parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
         if found := read_json(path / f"{name}.json"):

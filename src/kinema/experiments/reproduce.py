@@ -13,7 +13,9 @@ from pathlib import Path
 
 from kinema.experiments.config import CONF
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
-from kinema.runs.folder import RunFolder, console, upstream
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
 
 ROOT = CONF.parent
 

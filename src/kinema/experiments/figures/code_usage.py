@@ -15,19 +15,20 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.markup import escape
 
-from kinema.atomic import replacing, write_text
+from kinema.atomic import replacing, write_json, write_text
 from kinema.data.catalog import SPLITS
 from kinema.data.collate import collate
 from kinema.data.datasets import Item
 from kinema.data.store import PackedStore
+from kinema.devices import find_device
 from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.experiments.config import CONF
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import read_model
 from kinema.motion.view.draw import new_figure
-from kinema.runs.folder import RunFolder, console, write_json
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
 from kinema.tokenizers import MotionTokenizer
-from kinema.training.fit import find_device
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +53,7 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(f"error: {error}")
 
 
-def measure(run: Path, split: str = "test", device: str = "cpu") -> dict[str, Any]:
+def measure(run: Path, split: str = "test", device: torch.device | str = "cpu") -> dict[str, Any]:
     """Encode the whole clips of a split with a run's tokenizer, and count its codes.
 
     Raises FileNotFoundError for a folder that holds no finished run, ValueError for one whose latents are no codes.
