@@ -16,8 +16,8 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from kinema import __version__
-from kinema.runs.build import build
 from kinema.atomic import replacing
+from kinema.runs.build import build
 
 WEIGHTS = "weights.safetensors"
 """The file's name in a run folder."""
