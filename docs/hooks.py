@@ -33,7 +33,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         content = text if name.endswith(".md") else f"# Licence\n\n```text\n{text}```\n"
         files.append(File.generated(config, page, content=content))
     for room in _rooms():
-        files.append(File.generated(config, f"reference/{room}.md", content=f"# kinema.{room}\n\n::: kinema.{room}\n"))
+        content = f"---\ntitle: kinema.{room}\n---\n\n::: kinema.{room}\n"
+        files.append(File.generated(config, f"reference/{room}.md", content=content))
     return files
 
 
