@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from kinema.runs import weights as artifacts
-from kinema.atomic import write_text
 
+from kinema.atomic import write_text
+from kinema.runs import weights as artifacts
 
 GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
 """The parts that a pipeline itself knows by name; a generator names those that it takes."""
