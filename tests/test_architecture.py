@@ -115,6 +115,11 @@ def test_frameworks_stay_in_their_rooms(library, where):
             assert module.startswith(where), f"{module} imports {library[0]}"
 
 
+def test_every_folder_is_a_package():
+    """A folder without __init__.py (one that git ignores, say) would miss a room and its docstring."""
+    assert {file.parent for file in PACKAGE.rglob("*.py")} == {file.parent for file in PACKAGE.rglob("__init__.py")}
+
+
 def test_files_are_short():
     files = [*ROOT.glob("*.py"), *ROOT.glob("src/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("benchmarks/*.py")]
     lengths = {str(f.relative_to(ROOT)): len(f.read_text().splitlines()) for f in files}
@@ -124,8 +129,8 @@ def test_files_are_short():
 
 @pytest.mark.parametrize(
     "command",
-    [["train.py"], ["evaluate.py"], ["-m", "kinema.cli"]],
-    ids=["train", "evaluate", "kinema"],
+    [["train.py"], ["evaluate.py"], *(["-m", "kinema.cli", *words] for words in ([], ["train"], ["evaluate"]))],
+    ids=["train.py", "evaluate.py", "kinema", "kinema train", "kinema evaluate"],
 )
 def test_help_imports_neither_torch_nor_lightning(command):
     done = subprocess.run(

@@ -22,7 +22,7 @@ from kinema.runs.build import build
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
-PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
 SPECS = sorted((ROOT / "docs" / "specs").glob("*.md"))  # their references and options: test_spec_references.py
 SHELL = ("export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail")
 """Commands that are not ours to check."""
@@ -68,7 +68,14 @@ def test_commands_exist(words):
 
 
 def check_kinema(words):
-    if words != ["--version"]:
+    if words[0] in ("train", "evaluate"):
+        check_hydra(words[0], words[1:])
+    elif words[0] == "reproduce":
+        assert (CONF / "table" / f"{words[1]}.yaml").exists()
+        check_overrides([w for w in words[2:] if "=" in w], "evaluate")
+    elif words[0] == "figures":
+        assert importlib.util.find_spec(f"kinema.experiments.figures.{words[1]}")
+    elif words != ["--version"]:
         cli._parser().parse_args(words)
 
 
@@ -87,20 +94,14 @@ def check_make(words):
 
 
 def check_python(words):
-    if words[0] == "-m":
-        module, table, *overrides = words[1:]
-        if module in ("kinema.experiments.figures.bad_masks", "kinema.experiments.figures.code_usage"):
-            assert importlib.util.find_spec(module)
-            return
-        assert module == "kinema.experiments.reproduce"
-        assert (CONF / "table" / f"{table}.yaml").exists()
-        check_overrides([o for o in overrides if "=" in o], "evaluate")
-    else:
-        assert (ROOT / words[0]).exists()
-        if words[0] in ("train.py", "evaluate.py"):
-            flags = [w for w in words[1:] if w.startswith("-")]
-            assert set(flags) <= {"-m", "--cfg"}
-            check_overrides([w for w in words[1:] if "=" in w], words[0].removesuffix(".py"))
+    assert (ROOT / words[0]).exists()
+    if words[0] in ("train.py", "evaluate.py"):
+        check_hydra(words[0].removesuffix(".py"), words[1:])
+
+
+def check_hydra(config, words):
+    assert {w for w in words if w.startswith("-")} <= {"-m", "--cfg"}
+    check_overrides([w for w in words if "=" in w], config)
 
 
 def check_overrides(overrides, config):

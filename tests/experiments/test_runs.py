@@ -65,7 +65,7 @@ def test_a_run_holds_its_record(micro):
 
 def test_what_is_missing_is_named_with_its_command(overrides, fake_training):
     cfg = compose([*overrides, "ensure=false"])
-    with pytest.raises(FileNotFoundError, match=r"`python train\.py stage=tokenizer .*data=synthetic.*` or set ensure"):
+    with pytest.raises(FileNotFoundError, match=r"`kinema train stage=tokenizer .*data=synthetic.*` or set ensure"):
         run_stage(cfg, "generator")
     assert not fake_training
     for stage in ("tokenizer", "length", "generator"):

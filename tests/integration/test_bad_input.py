@@ -92,7 +92,7 @@ def test_wrong_evaluations_are_named(refused, tmp_path):
     assert "source='gen' is unknown; allowed: real, shuffled" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
-    assert "train it with `python train.py stage=matching data=synthetic" in message
+    assert "train it with `kinema train stage=matching data=synthetic" in message
     assert not (tmp_path / "runs" / "matching").exists()
 
 

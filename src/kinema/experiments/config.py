@@ -8,7 +8,13 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
-CONF = Path(__file__).resolve().parents[3] / "conf"
+
+def find_conf(package: Path) -> Path:
+    """Return the folder of the configurations: inside an installed package, beside src/ in a checkout."""
+    return package / "conf" if (package / "conf").is_dir() else package.parents[1] / "conf"
+
+
+CONF = find_conf(Path(__file__).resolve().parents[1])
 SCALES = ("paper", "tiny", "smoke")
 STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")

@@ -38,7 +38,7 @@ def command(cfg: DictConfig, stage: Stage) -> str:
     given = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
     if HydraConfig.initialized():
         given = [o for o in HydraConfig.get().overrides.task if o.split("=")[0] not in ("stage", "source", "ensure")]
-    return shlex.join(["python", "train.py", f"stage={stage.name}", *given])
+    return shlex.join(["kinema", "train", f"stage={stage.name}", *given])
 
 
 def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:

@@ -16,6 +16,8 @@ def versions() -> dict[str, str]:
         with contextlib.suppress(PackageNotFoundError):
             found[package] = version(package)
     root = Path(__file__).resolve().parents[3]
+    if not (root / "pyproject.toml").exists():
+        return found  # installed: git would answer for whatever repository site-packages happens to lie in
     with contextlib.suppress(OSError):
         answer = subprocess.run(["git", "-C", root, "describe", "--always", "--dirty"], capture_output=True, text=True)
         if answer.returncode == 0:

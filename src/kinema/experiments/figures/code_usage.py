@@ -1,6 +1,6 @@
 """Compare how trained tokenizers use their codes, redundant beside essential dims (MARDM, Figure 2).
 
-`python -m kinema.experiments.figures.code_usage RUN... [--split test] [--out reports/code_usage]`
+`kinema figures code_usage RUN... [--split test] [--out reports/code_usage]`
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from kinema.data.datasets import Item
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation.metrics.code_usage import CodeUsage
-from kinema.experiments.config import CONF
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import read_model
 from kinema.motion.view.draw import new_figure
@@ -39,10 +38,10 @@ DIMS = ("redundant", "essential")
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse the command line and write the report."""
-    parser = argparse.ArgumentParser(prog="python -m kinema.experiments.figures.code_usage", description=__doc__)
+    parser = argparse.ArgumentParser(prog="kinema figures code_usage", description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="a folder of runs/tokenizer")
     parser.add_argument("--split", default="test", choices=SPLITS)
-    parser.add_argument("--out", type=Path, default=CONF.parent / "reports" / "code_usage", help="folder of the report")
+    parser.add_argument("--out", type=Path, default=Path("reports/code_usage"), help="folder of the report")
     parser.add_argument("--accelerator", default="auto", help="auto, cpu, gpu, cuda or mps")
     options = parser.parse_intermixed_args(arguments)
     try:
@@ -178,7 +177,3 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
     if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
     return tokenizer, OmegaConf.load(run / "config.yaml")
-
-
-if __name__ == "__main__":
-    main()
