@@ -9,7 +9,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
 CONF = Path(__file__).resolve().parents[3] / "conf"
-SCALES = ("paper", "tiny", "smoke")
 STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
@@ -17,13 +16,8 @@ SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation
 
 
 def register_resolvers() -> None:
-    """Make ${scaled:PAPER,TINY,SMOKE} and ${corpus:HUMANML3D,KIT} known to OmegaConf."""
-    OmegaConf.register_new_resolver("scaled", _scaled, replace=True)
+    """Make ${corpus:HUMANML3D,KIT} known to OmegaConf."""
     OmegaConf.register_new_resolver("corpus", _corpus, replace=True)
-
-
-def _scaled(paper: Any, tiny: Any, smoke: Any, *, _root_: DictConfig) -> Any:
-    return dict(zip(SCALES, (paper, tiny, smoke), strict=True))[_root_.scale.name]
 
 
 def _corpus(humanml3d: Any, kit: Any, *, _root_: DictConfig) -> Any:
@@ -56,7 +50,7 @@ def plain(node: Any) -> Any:
 
 def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
-    checks = [("scale.name", cfg.scale.name, SCALES)]
+    checks = []
     if "stage" in cfg:
         checks.append(("stage", cfg.stage, STAGES))
     if "source" in cfg:
