@@ -46,7 +46,7 @@ reproduce-all: $(patsubst conf/table/%.yaml,reproduce-%,$(wildcard conf/table/*.
 # A motion from a sentence, with the generator of the last table at this scale.
 demo: reproduce-table5
 	$(VENV)/bin/kinema generate "a person waves with the left hand" \
-	  --run $$(dirname $$(ls -t runs/generator/mardm_sit-*/weights.safetensors | head -1)) --seconds 4 --out reports/demo.html
+	  --run latest:mardm_sit --seconds 4 --out reports/demo.html
 
 clean-reports:
 	rm -rf reports

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from functools import cache
@@ -71,6 +72,15 @@ def test_a_budget_can_be_chosen_without_its_protocol():
     cfg = composed("scale=tiny", "budget=paper")
     assert cfg.scale == composed("scale=tiny").scale
     assert cfg.generator.model.width == composed("scale=paper").generator.model.width
+
+
+def test_the_page_that_describes_a_scale_of_ones_own_is_right(tmp_path):
+    page = (ROOT / "docs" / "experiments.md").read_text()
+    (text,) = re.findall(r"`mine/(scale/\w+\.yaml)`.*?```yaml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "scale").mkdir()
+    (tmp_path / text[0]).write_text(text[1])
+    cfg = compose([f"hydra.searchpath=[file://{tmp_path}]", f"scale={Path(text[0]).stem}"])
+    assert (cfg.scale.name, cfg.scale.protocol.replications, cfg.generator.train.lr) == ("medium", 10, 2e-4)
 
 
 @pytest.fixture

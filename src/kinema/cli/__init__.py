@@ -14,6 +14,7 @@ TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq")
 GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm")
 KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
+RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD for the last that finished"
 RANGE_HELP = (
     "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
     "or prefix, suffix, inbetween, outpaint"
@@ -62,7 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     for one in (make, change):
-        one.add_argument("--run", required=True, help="run folder of a generator, or one that TextToMotion.save wrote")
+        one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
         one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")

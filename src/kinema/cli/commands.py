@@ -25,6 +25,7 @@ from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
 from kinema.runs import weights as artifacts
+from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH, read_json
 from kinema.types import Motion
 
@@ -78,7 +79,7 @@ def import_checkpoint(options: argparse.Namespace) -> None:
     settings = dict(options.set)
     if options.statistics:
         settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
-    links = {part: run for part, run in vars(options).items() if part in LINKS and run}
+    links = {part: find_run(run) for part, run in vars(options).items() if part in LINKS and run}
     text = {"text": options.text, "text_path": options.text_path}
     module = import_run(options.kind, options.file, options.out, links=links, options=settings, **text)
     size = sum(p.numel() for p in module.parameters())
@@ -119,7 +120,7 @@ def doctor(options: argparse.Namespace) -> int:
 
 def info(options: argparse.Namespace) -> None:
     """Describe a run folder or a weights file."""
-    path = Path(options.run)
+    path = find_run(options.run)
     file = path / artifacts.WEIGHTS if path.is_dir() else path
     meta = artifacts.read_meta(file)
     parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
