@@ -64,7 +64,7 @@ reproduce-all: $(TABLES:%=reproduce-%)  ## reproduce every table
 
 demo: reproduce-table5  ## generate a motion from a sentence, with the generator of table5's last row
 	$(KINEMA) generate "a person waves with the left hand" \
-	  --run $$(dirname $$(ls -t runs/generator/mardm_sit-*/weights.safetensors | head -1)) --seconds 4 --out reports/demo.html
+	  --run latest:mardm_sit --seconds 4 --out reports/demo.html
 
 clean-reports:  ## delete reports/ (runs, stores and cache are kept)
 	rm -rf reports

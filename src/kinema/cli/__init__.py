@@ -22,6 +22,7 @@ EXPERIMENTS = {
     "figures": ("kinema.experiments.figures:main", "draw a figure of the papers: bad_masks, code_usage RUN..."),
 }
 """Commands that read their own arguments (`kinema train --help`): mostly Hydra overrides."""
+RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD for the last that finished"
 RANGE_HELP = (
     "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
     "or prefix, suffix, inbetween, outpaint"
@@ -79,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     for one in (make, change):
-        one.add_argument("--run", required=True, help="run folder of a generator, or one that TextToMotion.save wrote")
+        one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
         one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")

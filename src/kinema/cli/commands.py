@@ -29,6 +29,7 @@ from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH
 from kinema.runs.versions import versions
 from kinema.types import Motion
@@ -83,7 +84,7 @@ def import_checkpoint(options: argparse.Namespace) -> None:
     settings = dict(options.set)
     if options.statistics:
         settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
-    links = {part: run for part, run in vars(options).items() if part in LINKS and run}
+    links = {part: find_run(run) for part, run in vars(options).items() if part in LINKS and run}
     text = {"text": options.text, "text_path": options.text_path}
     module = import_run(options.kind, options.file, options.out, links=links, options=settings, **text)
     size = sum(p.numel() for p in module.parameters())
@@ -133,7 +134,7 @@ def info(options: argparse.Namespace) -> None:
     if options.run is None:
         print(json.dumps({**versions(), "system": platform.platform(), "cuda": torch.version.cuda}, indent=2))
         return
-    path = Path(options.run)
+    path = find_run(options.run)
     file = RunFolder(path).weights if path.is_dir() else path
     meta = weights.read_meta(file)
     parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}

@@ -25,6 +25,7 @@ from kinema.pipeline.editing import edited_frames, kept_latents, resolve_ranges,
 from kinema.pipeline.editing import paste as paste_rows
 from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept
+from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH, TOKENIZER
 from kinema.seeds import request_seeds
 from kinema.text.frozen import FrozenTextEncoder, check_texts
@@ -283,11 +284,13 @@ class TextToMotion:
     ) -> TextToMotion:
         """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
 
+        `path` may be `latest:mardm_sit`, the last run of that name that finished (`kinema.runs.latest.find_run`).
         `parts` are run folders of what stands beside it (`length=`, `residual=`); without them those that
         `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name the
         part that is missing or unfit.
         """
-        tokenizer, generator, encoder, loaded, meta = read_parts(Path(path), find_device(device), parts)
+        beside = {part: run and find_run(run) for part, run in parts.items()}
+        tokenizer, generator, encoder, loaded, meta = read_parts(find_run(path), find_device(device), beside)
         return cls(tokenizer, generator, encoder, loaded, meta)
 
     def save(self, path: str | Path) -> Path:
