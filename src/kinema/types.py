@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -22,16 +22,17 @@ class Caption:
     tokens: tuple[str, ...] = ()
 
 
+@dataclass
 class _Movable:
     """Move every tensor field (also of nested values) to a device."""
 
-    def to(self, device: torch.device | str, non_blocking: bool = False) -> Any:
-        moved = {}
-        for f in fields(self):  # type: ignore[arg-type]
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
+        moved: dict[str, Any] = {}
+        for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, Tensor | _Movable):
                 moved[f.name] = value.to(device, non_blocking=non_blocking)
-        return replace(self, **moved)  # type: ignore[type-var]
+        return replace(self, **moved)
 
 
 @dataclass
@@ -75,7 +76,10 @@ class Latents(_Movable):
     @property
     def mask(self) -> Bool[Tensor, "b n"]:
         """True at real positions."""
-        return frame_mask(self.lengths, (self.values if self.values is not None else self.codes).shape[1])
+        held = self.codes if self.values is None else self.values
+        if held is None:
+            raise ValueError("these latents hold neither values nor codes; give one of them")
+        return frame_mask(self.lengths, held.shape[1])
 
 
 @dataclass
