@@ -78,7 +78,7 @@ def make_text(batch: int, device: torch.device) -> TextFeatures:
 def measure_sampling(model: nn.Module, batch: int, device: torch.device, repeats: int) -> tuple[int, float, float]:
     """Give the forward passes of one sampling, their seconds alone and those of the sampling."""
     text, seeds = make_text(batch, device), torch.arange(batch)
-    frames = torch.full((batch,), POSITIONS * model.downsample, device=device)
+    frames = torch.full((batch,), model.space.frames_of(POSITIONS), device=device)
     calls: list[tuple[tuple, dict]] = []
 
     def sample() -> None:
@@ -100,7 +100,7 @@ def measure_training(model: nn.Module, codes: int, batch: int, device: torch.dev
     """Give the seconds of a training step, AdamW included."""
     lengths = torch.full((batch,), POSITIONS, device=device)
     tokens = torch.randint(codes, (batch, POSITIONS, 1), device=device)
-    latents, text = Latents(lengths, lengths * model.downsample, codes=tokens), make_text(batch, device)
+    latents, text = Latents(lengths, model.space.frames_of(lengths), codes=tokens), make_text(batch, device)
     optimizer = torch.optim.AdamW(model.parameters())
 
     def step() -> None:

@@ -1,4 +1,4 @@
-"""Share the fixtures: the reference folder, one thread, and micro runs on a few dozen synthetic clips."""
+"""Share the fixtures: golden files, one thread, and micro runs on a few dozen synthetic clips."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import random
 import string
 import subprocess
 import sys
+import tarfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,6 +33,8 @@ settings.register_profile("repeatable", derandomize=True, deadline=None, databas
 settings.load_profile("repeatable")
 
 ROOT = Path(__file__).resolve().parent.parent
+GOLDEN = ROOT / "tests" / "golden"
+SHARED = Path(os.environ.get("KINEMA_SHARED", ROOT.parent / "shared")).absolute()
 
 torch.set_num_threads(1)
 
@@ -100,12 +103,32 @@ def micro(shelf: Path) -> list[str]:
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
-    """Give the reference folder (KINEMA_SHARED, default ../shared beside the checkout) or skip."""
-    folder = Path(os.environ.get("KINEMA_SHARED", ROOT.parent / "shared"))
+def open_mocap() -> Path:
+    """Return the folder of the open-mocap corpus in KINEMA_SHARED (default ../shared beside the checkout) or skip."""
+    folder = SHARED / "data" / "open-mocap"
     if not folder.is_dir():
-        pytest.skip(f"reference folder {folder} is absent; set KINEMA_SHARED to run this test")
+        pytest.skip(f"the corpus {folder} is absent; set KINEMA_SHARED to run this test")
     return folder
+
+
+@pytest.fixture(scope="session")
+def golden_file(tmp_path_factory) -> Callable[[str], Path]:
+    """Find a golden file by name ("vq/schedules.safetensors"): in tests/golden, else in KINEMA_SHARED, else skip."""
+    unpacked = tmp_path_factory.mktemp("golden")
+
+    def find(name: str) -> Path:
+        family = name.split("/")[0]
+        archive = GOLDEN / f"{family}.tar.xz"
+        if archive.is_file() and not (unpacked / family).is_dir():
+            with tarfile.open(archive) as members:
+                members.extraction_filter = lambda member, _: member  # our own files; 3.11.0 knows no `filter=`
+                members.extractall(unpacked)
+        for folder in (unpacked, SHARED / "golden"):
+            if (folder / name).is_file():
+                return folder / name
+        pytest.skip(f"{name} is neither in {GOLDEN} nor in {SHARED / 'golden'}; set KINEMA_SHARED to run this test")
+
+    return find
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ MAY_IMPORT = {
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
-    "generators": {*MODEL, "text"},
+    "generators": {*MODEL, "text", "tokenizers"},
     "runs": {"atomic"},
     "report": {"types", "atomic", "motion"},
 }

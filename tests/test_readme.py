@@ -23,6 +23,7 @@ from kinema.runs.parts import write_json
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
 PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
+SPECS = sorted((ROOT / "docs" / "specs").glob("*.md"))  # their references and options: test_spec_references.py
 SHELL = ("export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail")
 """Commands that are not ours to check."""
 
@@ -186,7 +187,7 @@ def test_the_readme_has_both_kinds():
     assert blocks("python")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [*PAGES, *SPECS], ids=lambda page: page.stem)
 def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target

@@ -1,9 +1,9 @@
-"""Hold the values that cross module boundaries: dataclasses only, no behaviour beyond moving and indexing."""
+"""Hold the values that cross module boundaries: dataclasses only, no behaviour beyond moving, indexing and counting."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 import torch
@@ -76,10 +76,64 @@ class Latents(_Movable):
     @property
     def mask(self) -> Bool[Tensor, "b n"]:
         """True at real positions."""
-        held = self.codes if self.values is None else self.values
+        return frame_mask(self.lengths, self.content.shape[1])
+
+    @property
+    def content(self) -> Float[Tensor, "b n c"] | Int[Tensor, "b n q"]:
+        """The values or the codes, whichever there are."""
+        held = self.values if self.codes is None else self.codes
         if held is None:
             raise ValueError("these latents hold neither values nor codes; give one of them")
-        return frame_mask(self.lengths, held.shape[1])
+        return held
+
+    def with_content(self, content: Float[Tensor, "b n c"] | Int[Tensor, "b n q"]) -> Latents:
+        """Return the same lengths with other values or codes."""
+        return replace(self, **{"values" if self.codes is None else "codes": content})
+
+
+Count = TypeVar("Count", int, Int[Tensor, " b"])
+
+
+@dataclass(frozen=True)
+class LatentSpace:
+    """Say what a tokenizer makes and a generator is for, and how many latents stand for how many frames.
+
+    `width` counts the channels of a latent, of a code vector or of a frame (None: a generator of codes that reads no
+    code vectors). `unit` is the frames per latent; None says that every motion has the same `most` latents, whatever
+    its length. `most` is the longest sequence of latents; codes come `quantizers` to a position.
+    """
+
+    kind: Literal["continuous", "codes", "frames"]
+    width: int | None
+    most: int
+    unit: int | None = 4
+    codebook_size: int | None = None
+    quantizers: int = 1
+
+    def latents_of(self, frames: Count) -> Count:
+        """Count the whole latents in `frames`."""
+        return frames * 0 + self.most if self.unit is None else frames // self.unit
+
+    def frames_of(self, latents: Count) -> Count:
+        """Count the frames of `latents`; raises ValueError where latents say nothing of time."""
+        return latents * self.in_time("counting frames")
+
+    def covered(self, frames: Count) -> Count:
+        """Round down to the frames that whole latents stand for."""
+        return frames if self.unit is None else frames // self.unit * self.unit
+
+    def whole(self, frames: Count) -> Count:
+        """Round up to the frames that whole latents stand for."""
+        return frames if self.unit is None else (frames + self.unit - 1) // self.unit * self.unit
+
+    def in_time(self, purpose: str) -> int:
+        """Return the frames per latent; raises ValueError where latents have no place in time."""
+        if self.unit is None:
+            raise ValueError(
+                f"{purpose} needs latents in time, but here {self.most} latents stand for the whole of a motion; "
+                "choose a method whose tokenizer has a unit of frames"
+            )
+        return self.unit
 
 
 @dataclass
@@ -95,10 +149,13 @@ class TextFeatures(_Movable):
 
 @dataclass
 class Known(_Movable):
-    """Hold what an edit keeps: the source's latents and a mask that is True at the positions to keep."""
+    """Hold what an edit keeps: the source's latents and a mask that is True at what is kept.
+
+    The mask is over positions, or for methods on frames over (frames, features): a part of the body.
+    """
 
     latents: Latents
-    mask: Bool[Tensor, "b n"]
+    mask: Bool[Tensor, "b n"] | Bool[Tensor, "b n c"]
 
 
 @dataclass

@@ -12,10 +12,21 @@ import torch
 from kinema.experiments.config import CONF
 from kinema.experiments.stages import STAGES
 from kinema.generators import Generator
-from kinema.pipeline.text_to_motion import TextToMotion, with_residual
+from kinema.pipeline import TextToMotion
+from kinema.types import Latents
 
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 TEXTS = ["a person walks forward", "someone waves with the left hand", "a man jumps twice"]
+
+
+class Few:
+    """Hold the latents of a few clips."""
+
+    def __init__(self, latents: Latents) -> None:
+        self.rows = latents.content[latents.mask]
+
+    def range(self) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.rows.amin(0), self.rows.amax(0)
 
 
 @pytest.fixture(scope="session")
@@ -33,11 +44,7 @@ def make(workshop):
         with torch.no_grad():
             latents = tokenizer.encode(workshop.clips())
         for model in models:
-            if hasattr(model, "set_codebook"):
-                model.set_codebook(tokenizer.codebook)
-            if hasattr(model, "set_latent_range"):
-                rows = latents.values[latents.mask]
-                model.set_latent_range(rows.min(0).values, rows.max(0).values)
+            model.prepare(tokenizer, Few(latents))
         return tokenizer, models[0], models[1] if len(models) > 1 else None
 
     return made
@@ -49,9 +56,8 @@ def pipeline(make, workshop):
 
     def made(method: str) -> TextToMotion:
         tokenizer, generator, residual = make(method)
-        if residual is not None:
-            generator = with_residual(generator, residual)
-        return TextToMotion(tokenizer, generator.eval(), workshop.text, None, {"text": {"encoder": "hashed"}})
+        beside = {} if residual is None else {"residual": residual.eval()}
+        return TextToMotion(tokenizer, generator.eval(), workshop.text, beside, {"text": {"encoder": "hashed"}})
 
     return made
 
@@ -118,8 +124,8 @@ def test_a_motion_depends_on_its_own_seed_and_text_alone(pipeline, method):
 def test_without_a_length_it_ends_itself_or_says_what_is_missing(pipeline, workshop, method):
     model = pipeline(method)
     declared = workshop.cfg(f"method={method}").generator.get("predicts_length", False)
-    assert declared == getattr(model.generator, "predicts_length", False)
-    if not getattr(model.generator, "predicts_length", False):
+    assert declared == model.generator.predicts_length
+    if not model.generator.predicts_length:
         with pytest.raises(ValueError, match="no length: give frames="):
             model.generate(TEXTS[:2], seed=1)
         return
@@ -131,7 +137,7 @@ def test_without_a_length_it_ends_itself_or_says_what_is_missing(pipeline, works
 def test_parts_are_chained_to_a_long_motion(pipeline, method):
     model = pipeline(method)
     motion = model.chain(TEXTS, [100, 120, 40], seed=2)
-    assert len(motion.features) == 100 + 120 + 40 + 2 * 2 * model.tokenizer.downsample
+    assert len(motion.features) == 100 + 120 + 40 + 2 * model.tokenizer.space.frames_of(2)
     assert np.isfinite(motion.joints).all()
     with pytest.raises(ValueError, match="a transition of 60 latents does not fit"):
         model.chain(TEXTS, 40, seed=2, transition=60)

@@ -41,7 +41,7 @@ def test_it_decodes_what_it_encodes_and_padding_changes_nothing(workshop, name):
     batch = workshop.clips()
     latents = model.encode(batch)
     decoded = model.decode(latents)
-    assert torch.equal(latents.lengths, batch.lengths // model.downsample)
+    assert torch.equal(latents.lengths, model.space.latents_of(batch.lengths))
     assert torch.equal(decoded.lengths, latents.frames)
     assert decoded.features.shape[2] == model.representation.width
     assert not decoded.features[~decoded.mask].any()
@@ -52,9 +52,9 @@ def test_it_decodes_what_it_encodes_and_padding_changes_nothing(workshop, name):
     if latents.codes is None:
         torch.testing.assert_close(own.values[0], latents.values[row, : own.values.shape[1]], rtol=1e-4, atol=1e-4)
     else:
-        assert latents.codes.shape[2] == model.quantizers
+        assert latents.codes.shape[2] == model.space.quantizers
         assert not latents.codes[~latents.mask].any()
-        assert int(latents.codes.max()) < model.codebook_size
+        assert int(latents.codes.max()) < model.space.codebook_size
         assert torch.equal(own.codes[0], latents.codes[row, : own.codes.shape[1]])
     same = model.decode(own).features[0]
     torch.testing.assert_close(same, decoded.features[row, : len(same)], rtol=1e-3, atol=1e-4)

@@ -296,7 +296,7 @@ def test_findings_are_written_worst_first_and_cut_short():
 
 @pytest.mark.shared
 @pytest.mark.slow
-def test_open_mocap_has_no_errors(shared):
-    findings = diagnose(shared / "data" / "open-mocap")
+def test_open_mocap_has_no_errors(open_mocap):
+    findings = diagnose(open_mocap)
     assert exit_code(findings) == 0
     assert {f.kind for f in bad(findings)} == {"near-duplicates", "duplicates"}

@@ -18,15 +18,23 @@ from kinema.evaluation.sources import (
     Reconstruction,
     ShuffledCaptions,
 )
-from kinema.types import Latents, MotionBatch, TextFeatures, frame_mask
+from kinema.generators import Generator, LatentModel
+from kinema.motion.representation import Representation
+from kinema.pipeline import TextToMotion
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Latents, LatentSpace, MotionBatch, TextFeatures, frame_mask
 
 
-class Halves(torch.nn.Module):
+class Halves(MotionTokenizer):
     """Tokenize by keeping every fourth frame of the essential columns."""
 
-    downsample = 4
+    space = LatentSpace("continuous", 67, 49, 4)
+    representation = Representation("essential", "humanml3d")
 
-    def encode(self, batch):
+    def loss(self, motion, *, generator=None, shard=(0, 1)):
+        raise ValueError("nothing to learn")
+
+    def encode(self, batch, *, generator=None):
         lengths = batch.lengths // 4
         return Latents(lengths, lengths * 4, batch.features[:, ::4, :67])
 
@@ -36,14 +44,19 @@ class Halves(torch.nn.Module):
         return MotionBatch(features, latents.frames)
 
 
-class Echo(torch.nn.Module):
+class Echo(Generator):
     """Generate each row from its text feature and seed."""
 
-    max_latents = 49
+    space = Halves.space
+    sampling = 1.0
 
     def __init__(self, predicts_length=False):
         super().__init__()
         self.predicts_length = predicts_length
+        self.anchor = torch.nn.Parameter(torch.zeros(()))
+
+    def loss(self, latents, text, *, generator=None, shard=(0, 1)):
+        raise ValueError("nothing to learn")
 
     def sample(self, text, frames, *, seeds, known=None, sampling=None):
         frames = torch.full_like(seeds, 12) if frames is None else frames
@@ -58,6 +71,10 @@ def letters(texts):
     return TextFeatures(texts, torch.tensor(counts))
 
 
+def model(generator=None, **parts):
+    return TextToMotion(Halves(), generator or Echo(), letters, parts)
+
+
 def seeds(size):
     return torch.arange(size) + 5
 
@@ -67,7 +84,7 @@ SOURCES = {
     "shuffled": lambda: ShuffledCaptions(),
     "reconstruction": lambda: Reconstruction(Halves()),
     "noise": lambda: NoiseLatents(Halves(), torch.zeros(67), torch.ones(67)),
-    "generated": lambda: Generated(Echo(), Halves(), letters, sampling=2.0),
+    "generated": lambda: Generated(model(), sampling=2.0),
 }
 
 
@@ -140,26 +157,29 @@ def test_the_nearest_training_caption_gives_its_clip(make):
 
 
 def test_lengths_are_real_estimated_or_the_generators_own(make):
-    class Estimator(torch.nn.Module):
+    class Estimator(LatentModel):
+        def loss(self, latents, text, *, generator=None, shard=(0, 1)):
+            raise ValueError("nothing to learn")
+
         def predict(self, text, seeds):
             return torch.full_like(seeds, 20)
 
     batch = make.batch()
     options = {"sampling": 2.0, "lengths": "predicted"}
-    estimated = Generated(Echo(), Halves(), letters, length_estimator=Estimator(), **options)(batch, seeds(8))
-    own = Generated(Echo(predicts_length=True), Halves(), letters, **options)(batch, seeds(8))
+    estimated = Generated(model(length=Estimator()), **options)(batch, seeds(8))
+    own = Generated(model(Echo(predicts_length=True)), **options)(batch, seeds(8))
     assert set(estimated.lengths.tolist()) == {20}
     assert set(own.lengths.tolist()) == {12}
     with pytest.raises(ValueError, match="needs a generator that ends its sequences itself or a length estimator"):
-        Generated(Echo(), Halves(), letters, **options)(batch, seeds(8))
+        Generated(model(), **options)
     with pytest.raises(ValueError, match="allowed: real, predicted"):
-        Generated(Echo(), Halves(), letters, lengths="guess")
+        Generated(model(), lengths="guess")
 
 
-class Codes(torch.nn.Module):
+class Codes(Halves):
     """Decode each code to four frames that hold the first layer's number."""
 
-    downsample = 4
+    space = LatentSpace("codes", 1, 49, 4, codebook_size=3, quantizers=2)
 
     def decode(self, latents):
         features = latents.codes[..., :1].repeat_interleave(4, dim=1).expand(-1, -1, 67).float()
@@ -189,7 +209,7 @@ def test_an_edit_sees_nothing_of_the_frames_it_replaces(make, task):
             return known.latents
 
     batch = make.batch()
-    edited = Edited(Keeps(), Halves(), letters, task=task, paste=True)
+    edited = Edited(model(Keeps()), task=task, paste=True)
     first = edited(batch, seeds(8))
     kept = seen[0].mask.repeat_interleave(4, dim=1)
     counts = batch.lengths // 4
@@ -205,4 +225,4 @@ def test_an_edit_sees_nothing_of_the_frames_it_replaces(make, task):
 
 def test_an_unknown_editing_task_is_refused_at_once():
     with pytest.raises(ValueError, match="middle"):
-        Edited(Echo(), Halves(), letters, task="middle")
+        Edited(model(), task="middle")

@@ -13,8 +13,7 @@ from kinema.decoding.draws import Greedy, SeededDraws
 from kinema.generators.bamm.model import BAMM, BammSampling, condition_mask
 from kinema.generators.bamm.sampling import CachedRows
 from kinema.generators.bamm.training import BammDraws
-from kinema.generators.momask.cascade import Cascade
-from kinema.generators.momask.residual import ResidualTransformer
+from kinema.generators.tokens.residual import ResidualTransformer
 from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
@@ -379,9 +378,10 @@ def test_a_residual_transformer_completes_the_codes():
         codebook_size=CODES, code_dim=6, text_dim=5, quantizers=3, width=16, feedforward=24, layers=1, heads=2,
         max_latents=12,
     )  # fmt: skip
-    cascade = Cascade(make(), residual).eval()
-    result = cascade.sample(text(), None, seeds=SEEDS)
-    base = cascade.base.sample(text(), None, seeds=SEEDS)
+    model = make().eval()
+    base = model.sample(text(), None, seeds=SEEDS)
+    model.attach("residual", residual.eval())
+    result = model.sample(text(), None, seeds=SEEDS)
     assert result.codes.shape[2] == 3
     assert torch.equal(result.codes[..., :1], base.codes)
     assert torch.equal(result.lengths, base.lengths)

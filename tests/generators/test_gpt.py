@@ -10,7 +10,8 @@ import torch
 from kinema.decoding.draws import SeededDraws
 from kinema.generators.gpt.model import T2MGPT
 from kinema.generators.gpt.sampling import GptSampling
-from kinema.generators.gpt.training import GptDraws, corrupt, targets
+from kinema.generators.gpt.training import GptDraws, corrupt
+from kinema.generators.tokens.targets import targets
 from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from kinema.generators.momask.model import MoMaskSampling
-from kinema.generators.momask.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
+from kinema.generators.bamm import BAMM, BammSampling
+from kinema.generators.gpt import T2MGPT, GptSampling
+from kinema.generators.momask import MoMask, MoMaskSampling
+from kinema.generators.tokens.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
 from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures
 
@@ -232,9 +234,11 @@ def test_free_positions_of_the_source_do_not_leak():
 
 
 def test_options_come_from_the_base_generator():
-    found = ResidualSampling.of(MoMaskSampling(residual_guidance=6.0, residual_temperature=0.5, residual_top_k=0.0))
-    assert found == ResidualSampling(6.0, 0.5, 0.0)
-    assert ResidualSampling.of(object()) == ResidualSampling()
+    sizes = {"codebook_size": CODES, "text_dim": 5, "width": 16, "layers": 1, "heads": 2}
+    options = {"residual_guidance": 6.0, "residual_temperature": 0.5, "residual_top_k": 0.0}
+    for base, sampling in ((MoMask(code_dim=6, **sizes), MoMaskSampling), (BAMM(code_dim=6, **sizes), BammSampling)):
+        assert base.residual_sampling(sampling(**options)) == ResidualSampling(6.0, 0.5, 0.0)
+    assert T2MGPT(**sizes).residual_sampling(GptSampling()) == ResidualSampling()
 
 
 @pytest.mark.parametrize(

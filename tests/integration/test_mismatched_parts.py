@@ -27,8 +27,14 @@ def trained(cfg) -> list[Path]:
     ("changes", "message"),
     [
         (["generator.model.codebook_size=99"], "the generator is for codes of a codebook of 99, the tokenizer makes"),
-        (["+generator.model.downsample=8"], "the generator counts 8 frames a latent, the tokenizer makes one of 4"),
-        (["tokenizer.model.down_levels=1"], "the generator counts 4 frames a latent, the tokenizer makes one of 2"),
+        (
+            ["+generator.model.downsample=8"],
+            "one latent for 8 frames, the tokenizer makes one latent for 4 frames",
+        ),
+        (
+            ["tokenizer.model.down_levels=1"],
+            "one latent for 4 frames, the tokenizer makes one latent for 2 frames",
+        ),
         (["tokenizer=ae", "generator.model.codebook_size=64"], "the tokenizer makes continuous latents"),
     ],
 )

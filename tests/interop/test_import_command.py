@@ -50,7 +50,7 @@ READS_WORDS = ("attt2m", "mmm", "bad")
 
 
 @pytest.fixture
-def golden_import(shared, tmp_path, monkeypatch, make_clip):
+def golden_import(golden_file, tmp_path, monkeypatch, make_clip):
     """Give a function that imports a golden state dict from a file as published, for texts of 48 numbers."""
     monkeypatch.chdir(tmp_path)
     np.save("Mean.npy", np.zeros(263))
@@ -59,7 +59,7 @@ def golden_import(shared, tmp_path, monkeypatch, make_clip):
 
     def run(name: str, *more: str) -> str:
         kind, file, prefix, wrapper = GOLDEN[name]
-        tensors = load_file(shared / f"golden/vq/{file}.safetensors")
+        tensors = load_file(golden_file(f"vq/{file}.safetensors"))
         state = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
         torch.save({wrapper: state, "ep": 3, "best": np.float64(0.1)}, f"{name}.tar")
         part = interop.KINDS[kind].part
@@ -76,7 +76,6 @@ def golden_import(shared, tmp_path, monkeypatch, make_clip):
     return run
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", CHAINS)
 def test_published_files_become_a_run_that_generates(golden_import, name):
     links = [word for part, of in CHAINS[name].items() for word in (f"--{part}", golden_import(of))]
@@ -101,17 +100,15 @@ def test_published_files_become_a_run_that_generates(golden_import, name):
     np.testing.assert_array_equal(again[0].features, walk.features)
 
 
-@pytest.mark.shared
 def test_a_residual_transformer_completes_the_codes(golden_import):
     tokenizer, residual = golden_import("momask-rvq"), golden_import("residual")
     links = ["--tokenizer", tokenizer]
     alone = TextToMotion.from_run(golden_import("momask", *links), "cpu")
     both = TextToMotion.from_run(golden_import("bamm", *links, "--residual", residual), "cpu")
-    assert (alone.generator.quantizers, both.generator.quantizers) == (1, 4)
+    assert (alone.generator.space.quantizers, both.generator.space.quantizers) == (1, 4)
     assert read_json(Path(residual) / "text.json")["encoder"] == "clip_b32"
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("name", ["t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq"])
 def test_shipped_deviations_are_not_divided_again(golden_import, name):
     std = artifacts.load(f"{golden_import(name)}/{artifacts.WEIGHTS}")[0].representation.std
@@ -144,7 +141,7 @@ RVQ = {
     "width": 8,
     "depth": 1,
 }
-RESIDUAL = {"_target_": "kinema.generators.momask.ResidualTransformer", **POST}
+RESIDUAL = {"_target_": "kinema.generators.tokens.residual.ResidualTransformer", **POST}
 LENGTH = {"_target_": "kinema.generators.length.LengthEstimator"}
 RUNS = {
     "rvq": RVQ,
@@ -166,7 +163,8 @@ def parts(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     torch.manual_seed(0)
     for name, spec in RUNS.items():
-        artifacts.save(build(spec), spec, tmp_path / "runs" / name / artifacts.WEIGHTS)
+        part = {"rvq": "tokenizer", "vq": "tokenizer"}.get(name, name.rstrip("0123456789"))
+        artifacts.save(build(spec), spec, tmp_path / "runs" / name / artifacts.WEIGHTS, part=part)
     own, other = (MMM(**SIZES, token_dim=7, cross_layers=1, base_layers=1, head_layers=1) for _ in "ab")
     own.set_codebook(artifacts.load(f"runs/vq/{artifacts.WEIGHTS}")[0].codebook)
     other.set_codebook(torch.randn(11, 5))
@@ -197,9 +195,9 @@ def test_trained_and_imported_parts_go_together(parts):
     ("arguments", "message"),
     [
         (["--tokenizer", "runs/none"], "no run folder at runs/none"),
-        (["--tokenizer", "runs/length"], "--tokenizer runs/length holds a LengthEstimator; give the run folder of a"),
-        (["--length", "runs/rvq"], "give the run folder of a length estimator"),
-        (["--residual", "runs/rvq"], "give the run folder of a residual transformer"),
+        (["--tokenizer", "runs/length"], "runs/length holds a run of 'length'; give the folder of a 'tokenizer' run"),
+        (["--length", "runs/rvq"], "give the folder of a 'length' run"),
+        (["--residual", "runs/rvq"], "give the folder of a 'residual' run"),
         (["--residual", "runs/residual9"], "codebook_size is 11 in the base and 9 in the"),
         (["--residual", "runs/residual5"], "makes 5 codes per position, the tokenizer has 3"),
         (["--length", "runs/length9"], "text vectors of different widths (generator 7, length 9)"),

@@ -7,7 +7,7 @@ import torch
 
 from kinema import interop
 from kinema.generators.momask.model import MoMask
-from kinema.generators.momask.residual import ResidualTransformer
+from kinema.generators.tokens.residual import ResidualTransformer
 from kinema.interop import momask, momask_residual
 from kinema.runs.build import build
 from kinema.types import Latents, TextFeatures

@@ -14,13 +14,12 @@ from kinema.tokenizers.body_parts import BodyPartEncoder
 from kinema.tokenizers.vq import VQVAE
 from kinema.types import MotionBatch
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 
 
 @pytest.fixture(scope="module")
-def tensors(shared):
-    return load_file(shared / "golden" / "vq" / "attt2m_vq.safetensors")
+def tensors(golden_file):
+    return load_file(golden_file("vq/attt2m_vq.safetensors"))
 
 
 @pytest.fixture

@@ -11,16 +11,15 @@ from safetensors.torch import load_file
 
 from kinema import interop
 from kinema.motion.statistics import Statistics
-from kinema.types import Latents, MotionBatch
+from kinema.types import Latents, LatentSpace, MotionBatch
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 
 
 @pytest.fixture(params=["t2m", "kit"])
-def golden(request, shared):
+def golden(request, golden_file):
     """Give the golden tensors and the importer's module, in normalised space (mean 0, std 1)."""
-    tensors = load_file(shared / "golden" / "mardm" / f"mardm_ae_{request.param}.safetensors")
+    tensors = load_file(golden_file(f"mardm/mardm_ae_{request.param}.safetensors"))
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
     width = tensors["in.x"].shape[-1]
     return tensors, interop.load(
@@ -29,12 +28,12 @@ def golden(request, shared):
 
 
 @pytest.mark.parametrize(("name", "width"), [("AE t2m", 67), ("AE kit", 64)])
-def test_the_published_sizes_load(shared, name, width):
-    manifest = json.loads((shared / "golden" / "mardm" / "mardm_state_dict_manifest.json").read_text())
+def test_the_published_sizes_load(golden_file, name, width):
+    manifest = json.loads(golden_file("mardm/mardm_state_dict_manifest.json").read_text())
     (shapes,) = (v for k, v in manifest.items() if k.startswith(name))
     module = interop.load("mardm-ae", {"ae": {k: torch.zeros(shape) for k, shape in shapes.items()}})
     assert module.representation.width == width
-    assert (module.latent_dim, module.downsample) == (512, 4)
+    assert module.space == LatentSpace("continuous", 512, 49, 4)
     if width == 67:
         assert sum(p.numel() for p in module.parameters()) == 18_834_499
 

@@ -19,28 +19,27 @@ from kinema.nn.embeddings import sinusoidal_positions
 from kinema.pipeline.editing import task_slices, task_slots
 from kinema.types import Known, Latents, MotionBatch, TextFeatures, frame_mask
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 END, PAD, MASK = 24, 25, 26
 MODELS = ("bad_transformer", "bad_transformer_notime")
 FLAGS = [(time, ge, hide) for time in (0, 1) for ge in (0, 1) for hide in (0, 1)]
 
 
-def read(shared, name: str) -> dict[str, Tensor]:
-    return load_file(shared / f"golden/vq/{name}.safetensors")
+def read(golden_file, name: str) -> dict[str, Tensor]:
+    return load_file(golden_file(f"vq/{name}.safetensors"))
 
 
 def state(golden: dict[str, Tensor]) -> dict[str, Tensor]:
     return {k.removeprefix("sd."): v for k, v in golden.items() if k.startswith("sd.")}
 
 
-def load(shared, name: str = "bad_transformer", **options) -> BAD:
-    return interop.load("bad", {"trans": state(read(shared, name))}, heads=4, words="all", **options)
+def load(golden_file, name: str = "bad_transformer", **options) -> BAD:
+    return interop.load("bad", {"trans": state(read(golden_file, name))}, heads=4, words="all", **options)
 
 
-def load_tokenizer(shared):
+def load_tokenizer(golden_file):
     """Load the tokenizer that lies in the transformer's file, for normalised features (mean 0, std 1)."""
-    nested = bad.tokenizer(state(read(shared, "bad_transformer")))
+    nested = bad.tokenizer(state(read(golden_file, "bad_transformer")))
     tokenizer = interop.load("mmm-vq", {"net": nested}, statistics=Statistics(np.zeros(263), np.ones(263)))
     tokenizer.representation.std.fill_(1.0)  # the published variant divides some of them
     return tokenizer.requires_grad_(False)
@@ -62,8 +61,8 @@ def ids_of(codes: Tensor, lengths: Tensor, slots: int) -> Tensor:
 
 
 @pytest.mark.parametrize("flags", FLAGS)
-def test_training_and_first_inference_masks(shared, flags):
-    golden, (time, ge, hide) = read(shared, "bad_masks"), flags
+def test_training_and_first_inference_masks(golden_file, flags):
+    golden, (time, ge, hide) = read(golden_file, "bad_masks"), flags
     rules = {"conditions": 1 + time, "direction": "ge" if ge else "le", "unmasked_see_masks": not hide}
     lengths, orders = golden["in.lens"], golden["in.orders"]
     all_masked = frame_mask(lengths, orders.shape[1])
@@ -76,8 +75,8 @@ def test_training_and_first_inference_masks(shared, flags):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_transformer(shared, name):
-    golden, model = read(shared, name), load(shared, name)
+def test_transformer(golden_file, name):
+    golden, model = read(golden_file, name), load(golden_file, name)
     lengths, masked = golden["in.lens"], golden["in.masked"]
     ahead = model.conditions
     assert model.max_latents == 49
@@ -97,8 +96,8 @@ def test_transformer(shared, name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_training_loss(shared, name):
-    golden, model = read(shared, name), load(shared, name)
+def test_training_loss(golden_file, name):
+    golden, model = read(golden_file, name), load(golden_file, name)
     lengths, masked = golden["in.lens"], golden["in.masked"]
     codes = golden["in.target"].masked_fill(golden["in.target"] >= END, 0)
     draws = BadDraws(
@@ -116,8 +115,8 @@ def test_training_loss(shared, name):
     torch.testing.assert_close(losses["accuracy"], (hits.sum(dim=1) / lengths).mean(), **CLOSE)
 
 
-def test_schedule(shared):
-    golden = read(shared, "schedules")
+def test_schedule(golden_file):
+    golden = read(golden_file, "schedules")
     assert torch.equal(shrinking_counts(golden["in.tokens_len"], 10).T, golden["out.bad_mmm_masked"])
 
 
@@ -138,12 +137,12 @@ class Recorded:
         return (logits - (-u.clamp(1e-20).log()).clamp(1e-20).log()).argmax(-1)
 
 
-def sampled(shared, golden, case: str, rows: slice, *, direction: str = "ge", **options):
+def sampled(golden_file, golden, case: str, rows: slice, *, direction: str = "ge", **options):
     """Sample a recorded case; give its orders, lengths and trajectory."""
     lengths = golden["in.tokens_len"][rows]
     if case.startswith("single"):
         lengths = torch.tensor([int(case.removeprefix("single")) // 4])
-    model = load(shared, direction=direction)
+    model = load(golden_file, direction=direction)
     orders = golden[f"{case}.in.orders"]
     steps = model.trajectory(
         text(golden, rows),
@@ -186,9 +185,9 @@ ALL, FIRST, SECOND = slice(0, 3), slice(0, 1), slice(1, 2)
         ("z0le", ALL, {"direction": "le"}),
     ],
 )
-def test_oaas(shared, case, rows, options):
-    golden = read(shared, "bad_oaas")
-    check_trace(golden, case, *sampled(shared, golden, case, rows, **options))
+def test_oaas(golden_file, case, rows, options):
+    golden = read(golden_file, "bad_oaas")
+    check_trace(golden, case, *sampled(golden_file, golden, case, rows, **options))
 
 
 @pytest.mark.parametrize(
@@ -201,14 +200,14 @@ def test_oaas(shared, case, rows, options):
         ("gumbel", ALL, {}),
     ],
 )
-def test_cbs(shared, case, rows, options):
-    golden = read(shared, "bad_cbs")
-    check_trace(golden, case, *sampled(shared, golden, case, rows, sampler="cbs", **options))
+def test_cbs(golden_file, case, rows, options):
+    golden = read(golden_file, "bad_cbs")
+    check_trace(golden, case, *sampled(golden_file, golden, case, rows, sampler="cbs", **options))
 
 
-def test_oaas_decodes_to_the_published_motion(shared):
-    golden, tokenizer = read(shared, "bad_oaas"), load_tokenizer(shared)
-    *_, lengths, steps = sampled(shared, golden, "batch", ALL)
+def test_oaas_decodes_to_the_published_motion(golden_file):
+    golden, tokenizer = read(golden_file, "bad_oaas"), load_tokenizer(golden_file)
+    *_, lengths, steps = sampled(golden_file, golden, "batch", ALL)
     motion = tokenizer.decode(steps[-1][2]).features
     expected = golden["batch.out.motion_first8dims"]
     torch.testing.assert_close(motion[..., :8], expected[:, : motion.shape[1]], **CLOSE)
@@ -221,9 +220,9 @@ TASKS = {"inbetween": "inbetween", "outpainting": "outpaint", "prefix": "prefix"
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_kept_codes_of_the_editing_tasks(shared, name):
+def test_kept_codes_of_the_editing_tasks(golden_file, name):
     """Encode the published slices, each by itself."""
-    golden, tokenizer = read(shared, "bad_edit"), load_tokenizer(shared)
+    golden, tokenizer = read(golden_file, "bad_edit"), load_tokenizer(golden_file)
     tokens = golden["in.m_length"] // 4
     slots = task_slots(TASKS[name], tokens, 50)
     codes = torch.full_like(slots, -1, dtype=torch.long)
@@ -236,8 +235,8 @@ def test_kept_codes_of_the_editing_tasks(shared, name):
 
 @pytest.mark.parametrize("sampler", ["oaas", "cbs"])
 @pytest.mark.parametrize("name", TASKS)
-def test_editing(shared, name, sampler):
-    golden, model = read(shared, "bad_edit"), load(shared)
+def test_editing(golden_file, name, sampler):
+    golden, model = read(golden_file, "bad_edit"), load(golden_file)
     lengths = golden["in.m_length"] // 4
     given, orders = golden[f"{name}.out.token_cond"], golden[f"{name}.in.orders"]
     size = int(lengths.max())
@@ -256,5 +255,5 @@ def test_editing(shared, name, sampler):
     mask = hybrid_mask(orders, free, lengths, **model.rules)
     assert torch.equal(mask, golden[f"{name}.out.mask0"])
     if (name, sampler) == ("inbetween", "oaas"):
-        motion = load_tokenizer(shared).decode(result).features
+        motion = load_tokenizer(golden_file).decode(result).features
         torch.testing.assert_close(motion, golden["inbetween.out.motion"], **CLOSE)

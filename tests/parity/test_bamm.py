@@ -15,37 +15,36 @@ from kinema.generators.bamm.training import BammDraws
 from kinema.interop import bamm
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 PAD = 25
 OFFICIAL = BammSampling(official_inference=True, remask="order", temperature=0)
 
 
-def read(shared, name: str) -> dict[str, Tensor]:
-    return load_file(shared / f"golden/vq/bamm_{name}.safetensors")
+def read(golden_file, name: str) -> dict[str, Tensor]:
+    return load_file(golden_file(f"vq/bamm_{name}.safetensors"))
 
 
-def state(shared) -> dict[str, Tensor]:
-    return {k.removeprefix("sd."): v for k, v in read(shared, "transformer").items() if k.startswith("sd.")}
+def state(golden_file) -> dict[str, Tensor]:
+    return {k.removeprefix("sd."): v for k, v in read(golden_file, "transformer").items() if k.startswith("sd.")}
 
 
-def load_model(shared) -> BAMM:
-    return interop.load("bamm", {"t2m_transformer": state(shared)}, heads=4)
+def load_model(golden_file) -> BAMM:
+    return interop.load("bamm", {"t2m_transformer": state(golden_file)}, heads=4)
 
 
 def features(pooled: Tensor) -> TextFeatures:
     return TextFeatures([""] * len(pooled), pooled)
 
 
-def test_masks(shared):
-    golden = read(shared, "transformer")
+def test_masks(golden_file):
+    golden = read(golden_file, "transformer")
     condition = golden["in.cond_ids"] != PAD
     assert torch.equal(condition_mask(condition), golden["out.mask"])
     assert torch.equal(condition_mask(torch.zeros_like(condition[:1])), golden["out.mask_causal"])
 
 
-def test_logits(shared):
-    golden, model = read(shared, "transformer"), load_model(shared)
+def test_logits(golden_file):
+    golden, model = read(golden_file, "transformer"), load_model(golden_file)
     ids, text, condition = golden["in.ids"], golden["in.text"], golden["in.cond_ids"] != PAD
     with torch.no_grad():
         conditional, empty = model(ids, text, condition), model(ids, torch.zeros_like(text), condition)
@@ -59,8 +58,8 @@ def test_logits(shared):
         torch.testing.assert_close(ours.mT, golden[f"out.logits_{name}"], **CLOSE)
 
 
-def test_training_loss(shared):
-    golden, model = read(shared, "transformer"), load_model(shared)
+def test_training_loss(golden_file):
+    golden, model = read(golden_file, "transformer"), load_model(golden_file)
     lengths, codes, ids = golden["in.lens"], golden["loss.in.ids"], golden["loss.in.input_ids"]
     draws = BammDraws(
         condition=golden["loss.in.cond_ids"] != PAD,
@@ -87,9 +86,9 @@ class GoldenDraws:
 
 
 @pytest.mark.parametrize("kind", ["predict", "given"])
-def test_generation(shared, kind):
+def test_generation(golden_file, kind):
     """Reproduce both passes; that conditions are overwritten in the input as they are passed makes a difference."""
-    golden, model = read(shared, "generate"), load_model(shared)
+    golden, model = read(golden_file, "generate"), load_model(golden_file)
     expected = {name: golden[f"{kind}.out.{name}"] for name in ("pass1", "plen", "cond2", "ids")}
     lengths = expected["plen"]
     frames = None if kind == "predict" else lengths * 4
@@ -107,9 +106,9 @@ def test_generation(shared, kind):
         assert same == official
 
 
-def test_edit(shared):
+def test_edit(golden_file):
     """Reproduce an edit as published: its text is ignored."""
-    golden, model = read(shared, "generate"), load_model(shared)
+    golden, model = read(golden_file, "generate"), load_model(golden_file)
     given, lengths = golden["edit.in.cond_ids"], golden["in.lens"]
     assert (given.gather(1, lengths[:, None]) == model.end).all()
     size = int(lengths.max())
@@ -129,9 +128,9 @@ def test_edit(shared):
         assert torch.equal(result.codes[..., 0][keep & real], given[:, :size][keep & real])
 
 
-def test_export_gives_the_published_state_back(shared):
+def test_export_gives_the_published_state_back(golden_file):
     """Compare all but the row of MASK, which training never reaches."""
-    published, exported = state(shared), bamm.export(load_model(shared))
+    published, exported = state(golden_file), bamm.export(load_model(golden_file))
     assert exported.keys() == published.keys()
     for key, value in published.items():
         ours = exported[key]

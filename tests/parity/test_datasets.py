@@ -13,8 +13,6 @@ from kinema.data.prepare import prepare_store
 from kinema.data.store import PackedStore
 from kinema.motion.skeleton import get_skeleton
 
-pytestmark = pytest.mark.shared
-
 WALK = "a person walks left#a/DET person/NOUN walk/VERB left/ADV#0.0#0.0\nthey jump#they/PRON jump/VERB#nan#nan\n"
 TEXTS = {
     "000005": "middle#middle/NOUN#1.0#4.5\n",
@@ -23,9 +21,9 @@ TEXTS = {
 
 
 @pytest.fixture(scope="module")
-def golden(shared):
-    folder = shared / "golden" / "mardm"
-    return json.loads((folder / "mardm_datasets.json").read_text()), load_file(folder / "mardm_datasets.safetensors")
+def golden(golden_file):
+    facts = json.loads(golden_file("mardm/mardm_datasets.json").read_text())
+    return facts, load_file(golden_file("mardm/mardm_datasets.safetensors"))
 
 
 def make_store(golden, folder, skeleton, change=None):

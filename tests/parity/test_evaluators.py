@@ -57,16 +57,15 @@ def batch_of(golden, lengths="in.m_lens"):
 
 
 @pytest.fixture
-def mardm(shared):
-    return read(shared / "golden/mardm/mardm_evaluators.safetensors")[0]
+def mardm(golden_file):
+    return read(golden_file("mardm/mardm_evaluators.safetensors"))[0]
 
 
 @pytest.fixture
-def original(shared):
-    return read(shared / "golden/diffusion/t2meval_matching.safetensors")[0]
+def original(golden_file):
+    return read(golden_file("diffusion/t2meval_matching.safetensors"))[0]
 
 
-@pytest.mark.shared
 def test_mardm_matching_embeddings(mardm):
     model = load("t2m-evaluator", state(mardm), statistics=unit_statistics(67), max_frames=40).attach(Recorded(mardm))
     batch = batch_of(mardm)
@@ -77,7 +76,6 @@ def test_mardm_matching_embeddings(mardm):
     torch.testing.assert_close(text[order], mardm["out.wrapper_text_emb"], **CLOSE)
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("margin", [10.0, 3.0])
 def test_original_matching_losses(original, margin):
     model = load_original(original, negative_shift="legacy", margin=margin)
@@ -91,7 +89,6 @@ def test_original_matching_losses(original, margin):
         torch.testing.assert_close(torch.stack(list(found.values())), expected, rtol=1e-4, atol=3e-4)
 
 
-@pytest.mark.shared
 def test_original_matching_gradients_through_the_legacy_draw(original):
     model = load_original(original, negative_shift="legacy").train().requires_grad_(True)
     drawn = next(s for s in range(100) if draw(s) == 2)
@@ -110,7 +107,6 @@ def load_original(golden, **options):
     return load("t2m-evaluator", state(golden), **options).attach(Recorded(golden))
 
 
-@pytest.mark.shared
 def test_legacy_padding_reads_what_stands_past_the_end(original):
     batch = batch_of(original)
     batch.features = torch.where(batch.mask[..., None], batch.features, torch.tensor(1.7))
@@ -119,9 +115,8 @@ def test_legacy_padding_reads_what_stands_past_the_end(original):
     torch.testing.assert_close(masked, original["out.motion_emb"], **CLOSE)
 
 
-@pytest.mark.shared
-def test_decomposition_loss(shared):
-    golden, _ = read(shared / "golden/diffusion/t2meval_decomposition.safetensors")
+def test_decomposition_loss(golden_file):
+    golden, _ = read(golden_file("diffusion/t2meval_decomposition.safetensors"))
     model = t2m_evaluator.load_decomposition(state(golden), statistics=unit_statistics(263), variant="raw").eval()
     windows = golden["in.windows"]
     losses = model.loss(MotionBatch(windows, torch.full((len(windows),), windows.shape[1])))
@@ -133,7 +128,6 @@ def test_decomposition_loss(shared):
     torch.testing.assert_close(model.movement_decoder(codes), golden["out.reconstruction"], **CLOSE)
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize("training", [False, True])
 def test_contrastive_embeddings_and_loss(mardm, training):
     weights = state(mardm, "sd.contrast_model.")

@@ -9,20 +9,20 @@ from safetensors.torch import load_file
 from kinema import interop
 from kinema.generators.gpt.model import T2MGPT
 from kinema.generators.gpt.sampling import GptSampling
-from kinema.generators.gpt.training import GptDraws, corrupt, targets
+from kinema.generators.gpt.training import GptDraws, corrupt
+from kinema.generators.tokens.targets import targets
 from kinema.interop import gpt
 from kinema.types import Latents, TextFeatures
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 KINDS = {"t2m-gpt": "t2mgpt_transformer", "attt2m": "attt2m_transformer"}
 END, POSITIONS = 24, 14
 
 
 @pytest.fixture(params=KINDS)
-def golden(request, shared) -> tuple[dict[str, torch.Tensor], T2MGPT]:
+def golden(request, golden_file) -> tuple[dict[str, torch.Tensor], T2MGPT]:
     """Give the golden tensors and the importer's module."""
-    tensors = load_file(shared / "golden" / "vq" / f"{KINDS[request.param]}.safetensors")
+    tensors = load_file(golden_file(f"vq/{KINDS[request.param]}.safetensors"))
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
     options = {"heads": 4, "max_latents": POSITIONS - 1, "words": "all"}
     return tensors, interop.load(request.param, {"trans": state}, **options)
@@ -55,8 +55,8 @@ def test_greedy_decoding(golden, cache):
         assert torch.equal(result.lengths, tensors["out.greedy_lens"])
 
 
-def test_loss(shared):
-    tensors = load_file(shared / "golden" / "vq" / "t2mgpt_transformer.safetensors")
+def test_loss(golden_file):
+    tensors = load_file(golden_file("vq/t2mgpt_transformer.safetensors"))
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
     model = interop.load("t2m-gpt", state, heads=4, max_latents=POSITIONS - 1)
     lengths, wanted = tensors["in.lens"], tensors["in.target"]

@@ -21,36 +21,35 @@ from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import timestep_embedding
 from kinema.types import Known, Latents, TextFeatures
 
-pytestmark = pytest.mark.shared
 VARIANTS = ("ddpm", "sit")
 PROCESSES = {"ddpm": DDPM, "sit": Flow}
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 STEPS = 6
 
 
-def read(shared, name: str) -> dict[str, Tensor]:
-    return load_file(shared / f"golden/mardm/mardm_{name}.safetensors")
+def read(golden_file, name: str) -> dict[str, Tensor]:
+    return load_file(golden_file(f"mardm/mardm_{name}.safetensors"))
 
 
 def state(golden: dict[str, Tensor]) -> dict[str, Tensor]:
     return {k.removeprefix("sd."): v for k, v in golden.items() if k.startswith("sd.")}
 
 
-def load_model(shared, variant: str) -> MARDM:
-    golden = read(shared, f"{variant}_transformer")
+def load_model(golden_file, variant: str) -> MARDM:
+    golden = read(golden_file, f"{variant}_transformer")
     return interop.load("mardm", {"ema_mardm": state(golden)}, variant=variant, heads=4, max_latents=10)
 
 
-def load_mlp(shared, variant: str) -> DiffusionMLP:
-    golden = state(read(shared, f"{variant}_mlp"))
+def load_mlp(golden_file, variant: str) -> DiffusionMLP:
+    golden = state(read(golden_file, f"{variant}_mlp"))
     mlp = DiffusionMLP(latent_dim=16, condition_dim=32, width=48, depth=3)
     mlp.load_state_dict({ours: golden[theirs] for theirs, ours in mardm.mlp_names(3).items()})
     return mlp.requires_grad_(False)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_transformer(shared, variant):
-    golden, model = read(shared, f"{variant}_transformer"), load_model(shared, variant)
+def test_transformer(golden_file, variant):
+    golden, model = read(golden_file, f"{variant}_transformer"), load_model(golden_file, variant)
     latents, text, real = golden["in.latents"], golden["in.cond"], ~golden["in.padding_mask"]
     torch.testing.assert_close(model(latents, text, real), golden["out.z"], **CLOSE)
     torch.testing.assert_close(model(latents, torch.zeros_like(text), real), golden["out.z_uncond"], **CLOSE)
@@ -59,8 +58,8 @@ def test_transformer(shared, variant):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_diffusion_mlp(shared, variant):
-    golden, mlp = read(shared, f"{variant}_mlp"), load_mlp(shared, variant)
+def test_diffusion_mlp(golden_file, variant):
+    golden, mlp = read(golden_file, f"{variant}_mlp"), load_mlp(golden_file, variant)
     x, t, c = golden["in.x"], golden["in.t"], golden["in.c"]
     outputs = []
     for block in mlp.blocks:
@@ -75,8 +74,8 @@ def test_diffusion_mlp(shared, variant):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_loss_per_row(shared, variant):
-    golden, mlp, process = read(shared, f"{variant}_loss"), load_mlp(shared, variant), PROCESSES[variant]()
+def test_loss_per_row(golden_file, variant):
+    golden, mlp, process = read(golden_file, f"{variant}_loss"), load_mlp(golden_file, variant), PROCESSES[variant]()
     x1, t, noise = golden["in.x1"], golden["in.t"], golden["in.noise"]
     torch.testing.assert_close(process.add_noise(x1, t, noise), golden["out.x_t"], **CLOSE)
     loss = process.loss(lambda x, t: mlp(x, t, golden["in.c"]), x1, t, noise)
@@ -91,8 +90,8 @@ def spread(mask: Tensor, rows: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_training_loss(shared, variant):
-    golden, model = read(shared, f"{variant}_forward_loss"), load_model(shared, variant)
+def test_training_loss(golden_file, variant):
+    golden, model = read(golden_file, f"{variant}_forward_loss"), load_model(golden_file, variant)
     lengths = golden["in.lens"]
     time, noise = ("05.randint", "06.randn_like") if variant == "ddpm" else ("06.rand", "05.randn_like")
     permutation = golden["rng.01.rand"].argsort(dim=1)
@@ -129,8 +128,8 @@ def guided_mlp(mlp: DiffusionMLP, z: Tensor, golden: dict[str, Tensor], name: st
 
 
 @pytest.mark.parametrize("name", DDPM_SAMPLES)
-def test_ddpm_samples(shared, name):
-    golden, mlp, seen = read(shared, "ddpm_sample"), load_mlp(shared, "ddpm"), []
+def test_ddpm_samples(golden_file, name):
+    golden, mlp, seen = read(golden_file, "ddpm_sample"), load_mlp(golden_file, "ddpm"), []
     start, predict = guided_mlp(mlp, golden["in.z"], golden, name)
     steps = golden["rng.nocfg.steps" if name == "nocfg" else "rng.cfg.steps"][:, : len(start)]
 
@@ -160,8 +159,8 @@ SIT_SAMPLES = {
 
 
 @pytest.mark.parametrize("name", SIT_SAMPLES)
-def test_sit_samples(shared, name):
-    golden, mlp, calls = read(shared, "sit_sample"), load_mlp(shared, "sit"), []
+def test_sit_samples(golden_file, name):
+    golden, mlp, calls = read(golden_file, "sit_sample"), load_mlp(golden_file, "sit"), []
     solver, steps, tolerance = SIT_SAMPLES[name]
     start, predict = guided_mlp(mlp, golden["in.z"], golden, name)
 
@@ -176,9 +175,9 @@ def test_sit_samples(shared, name):
         assert len(calls) == golden["out.cfg_nfe"]
 
 
-def test_sit_sample_to_rounding_where_time_is_embedded_per_row(shared):
+def test_sit_sample_to_rounding_where_time_is_embedded_per_row(golden_file):
     """Show that the published matrix shapes give the published steps: nothing but rounding is between us."""
-    golden, mlp = read(shared, "sit_sample"), load_mlp(shared, "sit")
+    golden, mlp = read(golden_file, "sit_sample"), load_mlp(golden_file, "sit")
     start, predict = guided_mlp(mlp, golden["in.z"], golden, "cfg")
     result = Flow().sample(lambda x, t: predict(x, t.expand(8)), iter([start]), solver="dopri5")
     torch.testing.assert_close(result, golden["out.cfg"][:4], **CLOSE)
@@ -214,9 +213,9 @@ def task(golden: dict[str, Tensor], kind: str) -> tuple[Tensor | None, Known | N
 # Not ("sit", False): dopri5's steps depend on all rows, so fewer rows give another result within its tolerance.
 @pytest.mark.parametrize(("variant", "resample_all"), [("ddpm", True), ("ddpm", False), ("sit", True)])
 @pytest.mark.parametrize("kind", ["generate", "generate_hard", "edit", "edit_free"])
-def test_generation(shared, variant, kind, resample_all):
+def test_generation(golden_file, variant, kind, resample_all):
     """Reproduce generations and edits; sampling only the kept positions gives the same DDPM results."""
-    golden, model = read(shared, f"{variant}_{kind}"), load_model(shared, variant)
+    golden, model = read(golden_file, f"{variant}_{kind}"), load_model(golden_file, variant)
     frames, known = task(golden, kind)
     sampling = MarSampling(
         steps=STEPS,
@@ -248,9 +247,9 @@ def test_generation(shared, variant, kind, resample_all):
         torch.testing.assert_close(latents.values[kept], reference[kept], **tolerance)
 
 
-def test_sampling_kept_positions_only_changes_nothing_but_rounding(shared):
+def test_sampling_kept_positions_only_changes_nothing_but_rounding(golden_file):
     """Sample the kept positions from the same random stream: relative difference 2.5e-6 (MARDM §12.1)."""
-    golden, model = read(shared, "ddpm_generate"), load_model(shared, "ddpm")
+    golden, model = read(golden_file, "ddpm_generate"), load_model(golden_file, "ddpm")
     text = TextFeatures(["", "", ""], golden["in.cond"])
     results = [
         model.sample(
@@ -265,8 +264,8 @@ def test_sampling_kept_positions_only_changes_nothing_but_rounding(shared):
     assert (results[0] - results[1]).norm() <= 2.5e-6 * results[0].norm()
 
 
-def test_exported_sizes_are_the_published_ones(shared):
-    manifest = json.loads((shared / "golden/mardm/mardm_state_dict_manifest.json").read_text())
+def test_exported_sizes_are_the_published_ones(golden_file):
+    manifest = json.loads(golden_file("mardm/mardm_state_dict_manifest.json").read_text())
     with torch.device("meta"):
         model = MARDM(latent_dim=512, text_dim=512, process=DDPM())
         exported = mardm.export(model)

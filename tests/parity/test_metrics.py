@@ -13,12 +13,10 @@ from kinema.evaluation.metrics.diversity import mean_distance
 from kinema.evaluation.metrics.reconstruction import mpjpe
 from kinema.evaluation.metrics.retrieval import pool_ranks
 
-pytestmark = pytest.mark.shared
-
 
 @pytest.fixture
-def golden(shared):
-    return load_file(shared / "golden/mardm/mardm_metrics.safetensors")
+def golden(golden_file):
+    return load_file(golden_file("mardm/mardm_metrics.safetensors"))
 
 
 def fid(a, b):
@@ -82,8 +80,8 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_frechet_distance_edge_cases(shared, case):
-    golden = load_file(shared / "golden/diffusion/metrics_fid.safetensors")
+def test_frechet_distance_edge_cases(golden_file, case):
+    golden = load_file(golden_file("diffusion/metrics_fid.safetensors"))
     pair = {"normal": ("gt", "pred"), "swapped": ("pred", "gt"), "same": ("gt", "gt")}
     names = pair.get(case, (f"{case}.a", f"{case}.b"))
     a, b = (golden[f"in.{name}"] for name in names)
@@ -94,8 +92,8 @@ def test_frechet_distance_edge_cases(shared, case):
 
 
 @pytest.mark.parametrize("leftover", ["drop", "keep"])
-def test_retrieval_leftover(shared, leftover):
-    golden = load_file(shared / "golden/diffusion/metrics_rprecision.safetensors")
+def test_retrieval_leftover(golden_file, leftover):
+    golden = load_file(golden_file("diffusion/metrics_rprecision.safetensors"))
     metric, found = scores(golden["in.text_remainder"], golden["in.motion_remainder"], leftover=leftover)
     expected = golden[f"out.remainder_{leftover}.r_precision"]
     np.testing.assert_allclose([found[k].item() for k in ("r1", "r2", "r3")], expected, rtol=1e-6)
@@ -103,8 +101,8 @@ def test_retrieval_leftover(shared, leftover):
     assert metric.count == golden[f"out.remainder_{leftover}.n"]
 
 
-def test_retrieval_ties_and_identical_rows(shared):
-    golden = load_file(shared / "golden/diffusion/metrics_rprecision.safetensors")
+def test_retrieval_ties_and_identical_rows(golden_file):
+    golden = load_file(golden_file("diffusion/metrics_rprecision.safetensors"))
     tied, _ = scores(golden["in.tie_text"], golden["in.tie_motion"])
     assert torch.equal(tied.hits, golden["out.tie_hits_stable"])
     same, found = scores(golden["in.identical"], golden["in.identical"])

@@ -15,21 +15,20 @@ from kinema.interop import bad, mmm
 from kinema.masking import shrinking_counts
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 END, PAD, MASK = 24, 25, 26
 
 
-def read(shared, name: str) -> dict[str, Tensor]:
-    return load_file(shared / f"golden/vq/mmm_{name}.safetensors")
+def read(golden_file, name: str) -> dict[str, Tensor]:
+    return load_file(golden_file(f"vq/mmm_{name}.safetensors"))
 
 
-def state(shared) -> dict[str, Tensor]:
-    return {k.removeprefix("sd."): v for k, v in read(shared, "transformer").items() if k.startswith("sd.")}
+def state(golden_file) -> dict[str, Tensor]:
+    return {k.removeprefix("sd."): v for k, v in read(golden_file, "transformer").items() if k.startswith("sd.")}
 
 
-def load(shared) -> MMM:
-    return interop.load("mmm", {"trans": state(shared)}, heads=4, words="all")
+def load(golden_file) -> MMM:
+    return interop.load("mmm", {"trans": state(golden_file)}, heads=4, words="all")
 
 
 def text(golden: dict[str, Tensor], rows: slice = slice(None)) -> TextFeatures:
@@ -50,8 +49,8 @@ def whole_frames(golden: dict[str, Tensor]) -> Tensor:
     return (golden["in.m_length"] + 3) // 4 * 4
 
 
-def test_logits(shared):
-    golden, model = read(shared, "transformer"), load(shared)
+def test_logits(golden_file):
+    golden, model = read(golden_file, "transformer"), load(golden_file)
     ids, lengths = golden["in.ids"], golden["in.lens"]
     logits = model(ids[:, :-1], text(golden), lengths)
     torch.testing.assert_close(logits, golden["out.logits"], **CLOSE)
@@ -61,8 +60,8 @@ def test_logits(shared):
     torch.testing.assert_close(cropped, golden["out.logits"][:, : longest + 2], **CLOSE)
 
 
-def test_loss(shared):
-    golden, model = read(shared, "transformer"), load(shared)
+def test_loss(golden_file):
+    golden, model = read(golden_file, "transformer"), load(golden_file)
     lengths, masked = golden["in.lens"], golden["in.masked"]
     draws = MmmDraws(
         keep=golden["in.keep"],
@@ -75,20 +74,22 @@ def test_loss(shared):
     torch.testing.assert_close(loss, golden["out.loss"], **CLOSE)
 
 
-def test_greedy_generation(shared):
-    golden = read(shared, "generate")
-    result = load(shared).sample(
+def test_greedy_generation(golden_file):
+    golden = read(golden_file, "generate")
+    result = load(golden_file).sample(
         text(golden), whole_frames(golden), seeds=torch.arange(3), sampling=MmmSampling(temperature=0.0)
     )
     assert torch.equal(ids_of(result), golden["out.greedy_ids"])
 
 
-def test_edit(shared):
-    golden = read(shared, "generate")
+def test_edit(golden_file):
+    golden = read(golden_file, "generate")
     frames, given = whole_frames(golden), golden["in.token_cond"][:, :49]
     source = Latents(frames // 4, frames, codes=given.masked_fill(given == MASK, 0)[..., None])
     known = Known(source, given != MASK)
-    result = load(shared).sample(text(golden), None, seeds=torch.arange(3), known=known, draws=Greedy(torch.arange(3)))
+    result = load(golden_file).sample(
+        text(golden), None, seeds=torch.arange(3), known=known, draws=Greedy(torch.arange(3))
+    )
     assert torch.equal(ids_of(result), golden["out.edit_ids"])
 
 
@@ -108,17 +109,17 @@ class RecordedGumbel:
         return (logits - (-inner).clamp(min=1e-20).log()).argmax(-1)
 
 
-def test_generation_with_recorded_noise(shared):
-    golden = read(shared, "generate")
+def test_generation_with_recorded_noise(golden_file):
+    golden = read(golden_file, "generate")
     draws = RecordedGumbel(golden["rng.gumbel_uniform"])
-    result = load(shared).sample(text(golden), whole_frames(golden), seeds=torch.arange(3), draws=draws)
+    result = load(golden_file).sample(text(golden), whole_frames(golden), seeds=torch.arange(3), draws=draws)
     assert torch.equal(ids_of(result), golden["out.gumbel_ids"])
 
 
 @pytest.mark.parametrize(("frames", "row", "steps"), [(44, 2, 1), (96, 1, 5)])
-def test_a_batch_of_one_stops_early_as_published(shared, frames, row, steps):
+def test_a_batch_of_one_stops_early_as_published(golden_file, frames, row, steps):
     """Run as many steps as the published code does for one sample: S, but 1 where S = 2 (BAD §4). We run all ten."""
-    golden, model = read(shared, "generate"), load(shared)
+    golden, model = read(golden_file, "generate"), load(golden_file)
     lengths, one = torch.tensor([frames // 4]), text(golden, slice(row, row + 1))
     free = frame_mask(lengths, frames // 4)
     counts = shrinking_counts(lengths, 10)
@@ -136,14 +137,14 @@ def test_a_batch_of_one_stops_early_as_published(shared, frames, row, steps):
     assert torch.equal(decode(counts), ids_of(sampled))
 
 
-def test_export_writes_the_published_keys(shared):
-    published, exported = state(shared), mmm.export(load(shared))
+def test_export_writes_the_published_keys(golden_file):
+    published, exported = state(golden_file), mmm.export(load(golden_file))
     own = {k for k in published if not k.startswith("trans_base.vqvae.") or k.endswith("quantizer.codebook")}
     assert set(exported) == own
     for key in own - {"trans_base.pos_embedding.weight"}:  # unused, any value will do
         torch.testing.assert_close(exported[key], published[key], **CLOSE)
 
 
-def test_the_tokenizer_in_the_file_has_the_same_codebook(shared):
-    tokenizer = interop.load("mmm-vq", {"net": bad.tokenizer(state(shared))})
-    assert torch.equal(tokenizer.codebook, load(shared).codebook)
+def test_the_tokenizer_in_the_file_has_the_same_codebook(golden_file):
+    tokenizer = interop.load("mmm-vq", {"net": bad.tokenizer(state(golden_file))})
+    assert torch.equal(tokenizer.codebook, load(golden_file).codebook)

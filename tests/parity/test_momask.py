@@ -9,36 +9,34 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.generators.momask.cascade import Cascade
 from kinema.generators.momask.model import MoMask, MoMaskDraws, MoMaskSampling, corrupt, select
-from kinema.generators.momask.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
 from kinema.generators.tokens.encoder import guided_logits
+from kinema.generators.tokens.residual import ResidualDraws, ResidualSampling, ResidualTransformer, drawn_layer
 from kinema.interop import momask, momask_residual
 from kinema.motion.statistics import Statistics
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 FORMS = ("shared", "separate")
 GREEDY = MoMaskSampling(temperature=0, residual_temperature=0)
 SEEDS = torch.tensor([1, 2, 3])
 
 
-def read(shared, name: str) -> dict[str, Tensor]:
-    return load_file(shared / f"golden/vq/{name}.safetensors")
+def read(golden_file, name: str) -> dict[str, Tensor]:
+    return load_file(golden_file(f"vq/{name}.safetensors"))
 
 
 def state(golden: dict[str, Tensor], prefix: str = "sd.") -> dict[str, Tensor]:
     return {k.removeprefix(prefix): v for k, v in golden.items() if k.startswith(prefix)}
 
 
-def load_base(shared) -> MoMask:
-    content = {"t2m_transformer": state(read(shared, "momask_base")), "ep": 3}
+def load_base(golden_file) -> MoMask:
+    content = {"t2m_transformer": state(read(golden_file, "momask_base")), "ep": 3}
     return interop.load("momask", content, heads=4, max_latents=14).requires_grad_(False)
 
 
-def load_residual(shared, form: str = "shared") -> ResidualTransformer:
-    content = {"res_transformer": state(read(shared, "momask_residual"), f"{form}.sd.")}
+def load_residual(golden_file, form: str = "shared") -> ResidualTransformer:
+    content = {"res_transformer": state(read(golden_file, "momask_residual"), f"{form}.sd.")}
     return interop.load("momask-residual", content, heads=4, max_latents=14).requires_grad_(False)
 
 
@@ -49,16 +47,16 @@ def features(golden: dict[str, Tensor]) -> TextFeatures:
 # The masked transformer
 
 
-def test_logits(shared):
-    golden, model = read(shared, "momask_base"), load_base(shared)
+def test_logits(golden_file):
+    golden, model = read(golden_file, "momask_base"), load_base(golden_file)
     ids, text, real = golden["in.ids"], golden["in.text"], ~golden["in.padding_mask"]
     torch.testing.assert_close(model(ids, text, real).mT, golden["out.logits_cond"], **CLOSE)
     torch.testing.assert_close(model(ids, text * 0, real).mT, golden["out.logits_uncond"], **CLOSE)
     torch.testing.assert_close(guided_logits(model, ids, text, real, scale=4).mT, golden["out.logits_cfg4"], **CLOSE)
 
 
-def test_training_loss(shared):
-    golden, model = read(shared, "momask_base"), load_base(shared)
+def test_training_loss(golden_file):
+    golden, model = read(golden_file, "momask_base"), load_base(golden_file)
     lengths, codes = golden["in.lens"], golden["loss.in.ids"]
     draws = MoMaskDraws(
         mask_time=golden["loss.in.uniform_time"],
@@ -85,8 +83,8 @@ def test_training_loss(shared):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_residual_layers(shared, form):
-    golden, model = read(shared, "momask_residual"), load_residual(shared, form)
+def test_residual_layers(golden_file, form):
+    golden, model = read(golden_file, "momask_residual"), load_residual(golden_file, form)
     codes, text, real = golden["in.indices"], golden["in.text"], ~golden["in.padding_mask"]
     padded = codes.masked_fill(~real[..., None], model.codebook_size)
     for q in (1, 2, 3):
@@ -101,8 +99,8 @@ def test_residual_layers(shared, form):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_residual_training_loss(shared, form):
-    golden, model = read(shared, "momask_residual"), load_residual(shared, form)
+def test_residual_training_loss(golden_file, form):
+    golden, model = read(golden_file, "momask_residual"), load_residual(golden_file, form)
     uniform = golden[f"{form}.rng.uniform_q"]
     assert torch.equal(drawn_layer(uniform, 4), golden[f"{form}.out.active_q"])
     lengths = golden["in.lens"]
@@ -136,8 +134,8 @@ def expected_codes(golden: dict[str, Tensor], name: str) -> Tensor:
     return ids if ids.ndim == 3 else ids[..., None]
 
 
-def test_base_generation(shared):
-    golden, model = read(shared, "momask_generate"), load_base(shared)
+def test_base_generation(golden_file):
+    golden, model = read(golden_file, "momask_generate"), load_base(golden_file)
     frames = golden["in.lens"] * 4
     greedy = model.sample(features(golden), frames, seeds=SEEDS, sampling=GREEDY)
     assert torch.equal(greedy.codes, expected_codes(golden, "base_greedy"))
@@ -145,8 +143,8 @@ def test_base_generation(shared):
     assert torch.equal(drawn.codes, expected_codes(golden, "base_gumbel"))
 
 
-def test_base_edit(shared):
-    golden, model = read(shared, "momask_generate"), load_base(shared)
+def test_base_edit(golden_file):
+    golden, model = read(golden_file, "momask_generate"), load_base(golden_file)
     lengths = golden["in.lens"]
     source = Latents(lengths=lengths, frames=lengths * 4, codes=golden["in.edit_tokens"][..., None])
     known = Known(source, ~golden["in.edit_mask"])
@@ -160,30 +158,31 @@ def base_codes(golden: dict[str, Tensor]) -> Latents:
 
 
 @pytest.mark.parametrize(("form", "name"), [("shared", "residual_greedy"), ("separate", "residual_greedy_separate")])
-def test_residual_layers_complete_the_base(shared, form, name):
-    golden = read(shared, "momask_generate")
-    model = load_residual(shared, form)
+def test_residual_layers_complete_the_base(golden_file, form, name):
+    golden = read(golden_file, "momask_generate")
+    model = load_residual(golden_file, form)
     greedy = ResidualSampling(temperature=0)
     completed = model.complete(base_codes(golden), features(golden), seeds=SEEDS, sampling=greedy)
     assert torch.equal(completed.codes, expected_codes(golden, name))
 
 
-def test_residual_layers_with_recorded_noise(shared):
-    golden, model = read(shared, "momask_generate"), load_residual(shared)
+def test_residual_layers_with_recorded_noise(golden_file):
+    golden, model = read(golden_file, "momask_generate"), load_residual(golden_file)
     draws = Gumbel(golden["rng.residual_uniform"])
     completed = model.complete(base_codes(golden), features(golden), seeds=SEEDS, draws=draws)
     assert torch.equal(completed.codes, expected_codes(golden, "residual_gumbel"))
 
 
-def test_cascade_to_motion(shared):
+def test_base_and_residual_to_motion(golden_file):
     """Compare the frames before each end; behind it the published decoder goes on."""
-    golden = read(shared, "momask_generate")
-    cascade = Cascade(load_base(shared), load_residual(shared))
-    latents = cascade.sample(features(golden), golden["in.lens"] * 4, seeds=SEEDS, sampling=GREEDY)
+    golden = read(golden_file, "momask_generate")
+    model = load_base(golden_file)
+    model.attach("residual", load_residual(golden_file))
+    latents = model.sample(features(golden), golden["in.lens"] * 4, seeds=SEEDS, sampling=GREEDY)
     assert torch.equal(latents.codes, expected_codes(golden, "residual_greedy"))
     tokenizer = interop.load(
         "momask-rvq",
-        {"vq_model": state(read(shared, "rvq_momask"))},
+        {"vq_model": state(read(golden_file, "rvq_momask"))},
         statistics=Statistics(np.zeros(263), np.ones(263)),
         mask_padding=False,
     )
@@ -192,8 +191,8 @@ def test_cascade_to_motion(shared):
     torch.testing.assert_close(motion.features[motion.mask], golden["out.motion"][motion.mask], **CLOSE)
 
 
-def test_length_estimator(shared):
-    golden = read(shared, "momask_length_estimator")
+def test_length_estimator(golden_file):
+    golden = read(golden_file, "momask_length_estimator")
     model = interop.load("length-estimator", {"estimator": state(golden), "epoch": 1})
     logits = model(golden["in.text"])
     torch.testing.assert_close(logits, golden["out.logits"], **CLOSE)
@@ -207,18 +206,18 @@ def test_length_estimator(shared):
 # Round trips
 
 
-def test_export_gives_the_published_state_dict_back(shared):
-    published = state(read(shared, "momask_base"))
-    written = momask.export(load_base(shared))
+def test_export_gives_the_published_state_dict_back(golden_file):
+    published = state(read(golden_file, "momask_base"))
+    written = momask.export(load_base(golden_file))
     assert written.keys() == published.keys()
     for key, value in written.items():
         torch.testing.assert_close(value, published[key], **CLOSE)
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_export_of_the_residual_transformer(shared, form):
-    published = state(read(shared, "momask_residual"), f"{form}.sd.")
-    written = momask_residual.export(load_residual(shared, form))
+def test_export_of_the_residual_transformer(golden_file, form):
+    published = state(read(golden_file, "momask_residual"), f"{form}.sd.")
+    written = momask_residual.export(load_residual(golden_file, form))
     assert written.keys() == published.keys()
     unused = "output_proj_bias"
     for key, value in written.items():

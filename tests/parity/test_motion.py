@@ -14,13 +14,12 @@ from kinema.motion.rotation import rotate_yaw
 from kinema.motion.skeleton import HUMANML3D, KIT
 from kinema.motion.statistics import Statistics
 
-pytestmark = pytest.mark.shared
 CASES = [pytest.param("t2m", HUMANML3D, id="humanml3d"), pytest.param("kit", KIT, id="kit")]
 
 
 @pytest.fixture(scope="module")
-def golden(shared):
-    return lambda name: load_file(shared / "golden" / "mardm" / f"mardm_motion_{name}.safetensors")
+def golden(golden_file):
+    return lambda name: load_file(golden_file(f"mardm/mardm_motion_{name}.safetensors"))
 
 
 def close(actual, expected, skeleton, atol=1e-5):
@@ -87,12 +86,13 @@ def test_statistics(golden, name, skeleton):
 
 
 @pytest.fixture(scope="module")
-def clip(shared):
+def clip(golden_file):
     """Give the published rows and joints of clip 012314."""
-    folder = shared / "golden" / "humanml3d"
-    return np.load(folder / "new_joint_vecs-012314.npy"), np.load(folder / "new_joints-012314.npy")
+    rows, joints = (golden_file(f"humanml3d/{kind}-012314.npy") for kind in ("new_joint_vecs", "new_joints"))
+    return np.load(rows), np.load(joints)
 
 
+@pytest.mark.shared
 def test_recovery_of_the_published_clip(clip):
     rows, joints = clip
     recovered = recover_joints(torch.from_numpy(rows), HUMANML3D).numpy()
@@ -101,6 +101,7 @@ def test_recovery_of_the_published_clip(clip):
     np.testing.assert_allclose(placed, joints, rtol=0, atol=1e-5)
 
 
+@pytest.mark.shared
 @pytest.mark.parametrize("canonical", [False, True])
 def test_extraction_of_the_published_clip(clip, canonical):
     rows, joints = clip
@@ -111,14 +112,16 @@ def test_extraction_of_the_published_clip(clip, canonical):
     np.testing.assert_allclose(extract(source, HUMANML3D, canonical=canonical), rows, rtol=0, atol=2e-5)
 
 
+@pytest.mark.shared
 def test_the_published_clip_has_the_target_skeleton(clip):
     _, joints = clip
     uniform = uniform_skeleton(joints.astype(np.float64), HUMANML3D, HUMANML3D.bone_lengths)
     np.testing.assert_allclose(uniform, joints, rtol=0, atol=1e-5)
 
 
-def test_the_published_deviation_is_one_number_per_group(shared):
-    published = Statistics.load(shared / "golden" / "humanml3d")
+@pytest.mark.shared
+def test_the_published_deviation_is_one_number_per_group(golden_file):
+    published = Statistics.load(golden_file("humanml3d/Mean.npy").parent)
     expected = [0.012826, 0.016927, 0.153766, 0.122244, 0.299692, 0.019470, 0.355933]
     for columns, value in zip(HUMANML3D.groups.values(), expected, strict=True):
         np.testing.assert_allclose(published.std[columns], value, atol=1e-6)

@@ -14,15 +14,14 @@ from kinema.motion.statistics import Statistics
 from kinema.tokenizers.codebook import CodebookDraws
 from kinema.types import Latents, MotionBatch
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 LAYERS = 4
 
 
 @pytest.fixture
-def golden(shared):
+def golden(golden_file):
     """Give the golden tensors and the importer's module, in normalised space (mean 0, std 1)."""
-    tensors = load_file(shared / "golden/vq/rvq_momask.safetensors")
+    tensors = load_file(golden_file("vq/rvq_momask.safetensors"))
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
     statistics = Statistics(np.zeros(263), np.ones(263))
     model = interop.load("momask-rvq", {"vq_model": state, "ep": 3}, statistics=statistics)
@@ -41,7 +40,7 @@ def tokens(codes: Tensor) -> Latents:
 
 def test_encode_and_decode(golden):
     tensors, model = golden
-    assert model.quantizers == LAYERS
+    assert model.space.quantizers == LAYERS
     latents = model.encode(motion(tensors["in.x"]))
     assert torch.equal(latents.codes, tensors["out.indices"])
     assert torch.equal(model.encode(motion(tensors["in.x_odd"])).codes, tensors["out.indices_odd"])

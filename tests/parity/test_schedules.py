@@ -9,8 +9,6 @@ from safetensors.torch import load_file
 from kinema.diffusion.schedules import Schedule, make_schedule
 from kinema.masking import cosine_counts, cosine_ratio
 
-pytestmark = pytest.mark.shared
-
 CASES = {
     "official_train": ("cosine", 50, None),
     "official_sample": ("cosine", 50, "50"),
@@ -34,8 +32,8 @@ ARRAYS = (
 
 
 @pytest.fixture(scope="module")
-def golden(shared):
-    return load_file(shared / "golden/mardm/mardm_schedules.safetensors")
+def golden(golden_file):
+    return load_file(golden_file("mardm/mardm_schedules.safetensors"))
 
 
 def make(name: str, steps: int, respacing: str | int | None) -> Schedule:

@@ -13,16 +13,15 @@ from kinema.motion.representation import Representation
 from kinema.motion.statistics import Statistics
 from kinema.tokenizers.codebook import CodebookDraws, EMACodebook, tile
 from kinema.tokenizers.vq import VQVAE
-from kinema.types import Latents, MotionBatch
+from kinema.types import Latents, LatentSpace, MotionBatch
 
-pytestmark = pytest.mark.shared
 CLOSE = {"rtol": 1e-4, "atol": 1e-5}
 
 
 @pytest.fixture(params=["t2m-gpt-vq", "mmm-vq"])
-def golden(request, shared):
+def golden(request, golden_file):
     """Give the golden tensors and the importer's module, in normalised space (mean 0, std 1)."""
-    tensors = load_file(shared / "golden/vq/vq_t2mgpt.safetensors")
+    tensors = load_file(golden_file("vq/vq_t2mgpt.safetensors"))
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
     model = interop.load(request.param, {"net": state}, statistics=Statistics(np.zeros(263), np.ones(263)))
     model.representation.std.fill_(1.0)  # the published variant divides some of them
@@ -83,7 +82,7 @@ def test_published_sizes_load(kind, size, dim, count):
     state = {theirs: ours.state_dict()[name] for theirs, name in names().items()}
     assert len(state) == 67
     model = interop.load(kind, {"net": state})
-    assert (model.codebook_size, model.code_dim, model.quantizers, model.downsample) == (size, dim, 1, 4)
+    assert model.space == LatentSpace("codes", dim, 49, 4, size)
     assert model.quantizer.reset == ("unused" if kind == "mmm-vq" else "always")
     assert round(sum(p.numel() for p in model.parameters()) / 1e6, 3) == count
 
@@ -119,8 +118,8 @@ def check(codebook: EMACodebook, golden: dict[str, Tensor], case: str, s: int) -
 
 
 @pytest.mark.parametrize("case", ["full", "tiled"])
-def test_variant_a(shared, case):
-    golden = load_file(shared / "golden/vq/ema_variant_a.safetensors")
+def test_variant_a(golden_file, case):
+    golden = load_file(golden_file("vq/ema_variant_a.safetensors"))
     size, dim = golden[f"{case}.out.codebook"].shape[1:]
     codebook = EMACodebook(size, dim, reset="always").train()
     for s, x in enumerate(golden[f"{case}.in.x"]):
@@ -134,8 +133,8 @@ def test_variant_a(shared, case):
 
 
 @pytest.mark.parametrize("case", ["mixed", "tiled"])
-def test_variant_b(shared, case):
-    golden = load_file(shared / "golden/vq/ema_variant_b.safetensors")
+def test_variant_b(golden_file, case):
+    golden = load_file(golden_file("vq/ema_variant_b.safetensors"))
     part = {k.removeprefix(f"{case}."): v for k, v in golden.items() if k.startswith(f"{case}.")}
     codebook = EMACodebook(16, 4, reset="unused").train()
     for s in range(len(part["out.codebook"])):
@@ -153,8 +152,8 @@ def test_variant_b(shared, case):
         assert codebook.counter == part["out.reset_count"][s]
 
 
-def test_the_noise_of_repeated_rows(shared):
-    golden = load_file(shared / "golden/vq/ema_variant_a.safetensors")
+def test_the_noise_of_repeated_rows(golden_file):
+    golden = load_file(golden_file("vq/ema_variant_a.safetensors"))
     rows = golden["tiled.in.x"][0].mT.flatten(0, 1)
     first = tile(rows, 20, golden["tiled.rng.init_noise"])
     assert first.shape == (24, 16)

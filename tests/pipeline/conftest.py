@@ -69,14 +69,16 @@ def parts():
 @pytest.fixture
 def model(parts) -> TextToMotion:
     tokenizer, generator, length = parts
-    return TextToMotion(tokenizer, generator, build_text_encoder("hashed"), length, {"text": {"encoder": "hashed"}})
+    return TextToMotion(
+        tokenizer, generator, build_text_encoder("hashed"), {"length": length}, {"text": {"encoder": "hashed"}}
+    )
 
 
 @pytest.fixture
 def run(parts, tmp_path):
     """Give a generator's run folder as training leaves it, beside its tokenizer's and length estimator's."""
     for name, module in zip(("tokenizer", "generator", "length"), parts, strict=True):
-        artifacts.save(module, module.spec, tmp_path / "runs" / name / "weights.safetensors")
+        artifacts.save(module, module.spec, tmp_path / "runs" / name / "weights.safetensors", part=name)
         write_json(tmp_path / "runs" / name / "status.json", {"state": "done"})
     folder = tmp_path / "runs" / "generator"
     write_json(folder / "upstream.json", {"tokenizer": "../tokenizer"})

@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from kinema.pipeline.editing import TASKS, edited_frames, kept_latents, resolve_ranges, task_slices, task_slots
+from kinema.types import LatentSpace
 
+SPACE = LatentSpace("continuous", 8, 49, 4)
 TOKENS = torch.arange(1, 50)
 
 
@@ -20,7 +22,7 @@ def test_slices_hold_the_kept_tokens(task):
 
 @pytest.mark.parametrize("task", TASKS)
 def test_ranges_of_frames_leave_the_same_tokens_but_in_outpaint(task):
-    ours = kept_latents(edited_frames(resolve_ranges(task, (TOKENS * 4).tolist()), 196), 4)
+    ours = kept_latents(edited_frames(resolve_ranges(task, (TOKENS * 4).tolist()), 196), SPACE)
     ours &= torch.arange(49)[None] < TOKENS[:, None]
     published = task_slots(task, TOKENS)
     if task != "outpaint":

@@ -141,7 +141,7 @@ def test_unfit_run_folders_are_named(run):
             TextToMotion.from_run(folder, "cpu")
 
     fails(FileNotFoundError, "no run folder at", run / "none")
-    fails(ValueError, "holds a AutoEncoder; give the run folder of a generator", run.parent / "tokenizer")
+    fails(ValueError, "holds a run of 'tokenizer'; give the folder of a 'generator' run", run.parent / "tokenizer")
     write_json(run / "text.json", {"encoder": "nothing"})
     fails(ValueError, "unknown text encoder 'nothing'")
     (run / "text.json").unlink()
@@ -158,7 +158,7 @@ def test_unfit_run_folders_are_named(run):
 
 def test_another_text_encoder_than_in_training_is_refused(parts, run):
     generator = parts[1]
-    artifacts.save(generator, generator.spec, run / "weights.safetensors", text="clip_b32-abc")
+    artifacts.save(generator, generator.spec, run / "weights.safetensors", part="generator", text="clip_b32-abc")
     with pytest.raises(ValueError, match="was trained with the text encoder clip_b32-abc, this one is hashed-64"):
         TextToMotion.from_run(run, "cpu")
     assert json.loads((run / "text.json").read_text())["encoder"] == "hashed"

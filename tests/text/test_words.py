@@ -184,12 +184,11 @@ def test_glove_wheel_has_the_known_vectors():
     assert not torch.equal(found[0, 2], found[0, 5])
 
 
-@pytest.mark.shared
-def test_tokens_and_classes_equal_the_published_dataset(shared, tmp_path):
+def test_tokens_and_classes_equal_the_published_dataset(golden_file, tmp_path):
     from safetensors.numpy import load_file
 
-    items = json.loads((shared / "golden/mardm/mardm_datasets.json").read_text())["eval_items"]
-    tensors = load_file(shared / "golden/mardm/mardm_datasets.safetensors")
+    items = json.loads(golden_file("mardm/mardm_datasets.json").read_text())["eval_items"]
+    tensors = load_file(golden_file("mardm/mardm_datasets.safetensors"))
     known = ["a", "person", "walk", "left", "they", "jump", "whole"]
     published(tmp_path, ["sos", "eos", "unk", *known], width=300)
     words = word_vectors("our_vab", tmp_path)

@@ -16,7 +16,7 @@ from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.codebook import EMACodebook
 from kinema.tokenizers.rvq import ResidualQuantizer
 from kinema.tokenizers.vq import VQVAE
-from kinema.types import Latents, MotionBatch
+from kinema.types import Latents, LatentSpace, MotionBatch
 
 LENGTHS = [40, 23, 9, 4]
 SIZE, DIM, LAYERS = 24, 6, 3
@@ -57,7 +57,7 @@ def test_codes_and_frames(kind):
     latents = model.encode(batch())
     decoded = model.decode(latents)
     assert isinstance(model, MotionTokenizer)
-    assert (model.codebook_size, model.code_dim, model.quantizers, model.downsample) == (SIZE, DIM, layers, 4)
+    assert model.space == LatentSpace("codes", DIM, 49, 4, SIZE, layers)
     assert model.codebooks.shape == (layers, SIZE, DIM)
     assert torch.equal(model.codebook, model.codebooks[0])
     assert latents.codes.shape == (4, 10, layers)
@@ -183,7 +183,7 @@ def test_configs_build(name, scale):
     with torch.device("meta"):
         model = build(plain(cfg.tokenizer.model))
     published = {"vq": (512, 512, 1), "vq_8192": (8192, 32, 1), "rvq": (512, 512, 6)}
-    assert scale != "paper" or (model.codebook_size, model.code_dim, model.quantizers) == published[name]
+    assert scale != "paper" or (model.space.codebook_size, model.space.width, model.space.quantizers) == published[name]
     assert cfg.tokenizer.name == name
 
 

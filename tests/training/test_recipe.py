@@ -1,7 +1,6 @@
 """Check the learning-rate schedules against the published loops, and the refusal of wrong values."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 import torch
@@ -10,21 +9,19 @@ from safetensors.torch import load_file
 from kinema.training.recipe import Recipe
 
 
-@pytest.mark.shared
 @pytest.mark.parametrize(
     ("key", "counted", "gamma"),
     [("lr_ae_warm20_milestone30", "warmup_end", 0.05), ("lr_mardm_warm20_milestone30", "start", 0.1)],
 )
-def test_schedule_is_the_published_one(shared: Path, key: str, counted: str, gamma: float):
-    golden = load_file(shared / "golden" / "mardm" / "mardm_schedules.safetensors")[key]
+def test_schedule_is_the_published_one(golden_file, key: str, counted: str, gamma: float):
+    golden = load_file(golden_file("mardm/mardm_schedules.safetensors"))[key]
     recipe = Recipe(100, 1, warmup=20, milestones=(30,), milestones_from=counted, gamma=gamma)
     ours = torch.tensor([recipe.lr * recipe.factor(step) for step in range(len(golden))], dtype=torch.float64)
     torch.testing.assert_close(ours, golden, rtol=1e-6, atol=0)
 
 
-@pytest.mark.shared
-def test_warmup_of_two_thousand_steps(shared: Path):
-    golden = load_file(shared / "golden" / "mardm" / "mardm_schedules.safetensors")["lr_warmup_2000_first5"]
+def test_warmup_of_two_thousand_steps(golden_file):
+    golden = load_file(golden_file("mardm/mardm_schedules.safetensors"))["lr_warmup_2000_first5"]
     recipe = Recipe(5000, 1, warmup=2000)
     ours = [recipe.lr * recipe.factor(step) for step in range(5)]
     torch.testing.assert_close(torch.tensor(ours, dtype=torch.float64), golden, rtol=1e-6, atol=0)

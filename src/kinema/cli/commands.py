@@ -14,17 +14,18 @@ from kinema.data import doctor as examine
 from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
-from kinema.interop.runs import CALLS, import_run
+from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
 from kinema.motion.features import extract
 from kinema.motion.formats.arrays import load_npy, load_npz
 from kinema.motion.recovery import recover_joints
+from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
 from kinema.runs import weights as artifacts
-from kinema.runs.parts import read_json
+from kinema.runs.parts import LENGTH, read_json
 from kinema.types import Motion
 
 
@@ -77,12 +78,12 @@ def import_checkpoint(options: argparse.Namespace) -> None:
     settings = dict(options.set)
     if options.statistics:
         settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
-    links = {part: getattr(options, part) for part in CALLS if getattr(options, part)}
+    links = {part: run for part, run in vars(options).items() if part in LINKS and run}
     text = {"text": options.text, "text_path": options.text_path}
     module = import_run(options.kind, options.file, options.out, links=links, options=settings, **text)
     size = sum(p.numel() for p in module.parameters())
     print(f"wrote {options.out} ({type(module).__name__}, {size:,} parameters)")
-    if hasattr(module, "representation") and "statistics" not in settings:
+    if any(isinstance(part, Representation) and not part.fitted for part in module.modules()):
         print("note: its mean and std are unknown; import it with --statistics PATH to use it")
 
 
@@ -129,7 +130,8 @@ def info(options: argparse.Namespace) -> None:
 
 
 def _model(options: argparse.Namespace) -> TextToMotion:
-    return TextToMotion.from_run(options.run, options.device, length=options.length)
+    parts = {} if options.length is None else {LENGTH: options.length}
+    return TextToMotion.from_run(options.run, options.device, **parts)
 
 
 def _files(out: str, count: int) -> list[Path]:

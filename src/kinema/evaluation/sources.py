@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
@@ -10,49 +11,61 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from kinema.decoding.draws import SeededDraws
 from kinema.evaluation.metrics.code_usage import CodeUsage
-from kinema.pipeline.editing import task_slots
+from kinema.pipeline import TextToMotion
+from kinema.pipeline.editing import kept_frames, paste, task_slots
 from kinema.pipeline.kept import encode_kept
+from kinema.tokenizers import MotionTokenizer
 from kinema.types import Caption, Latents, MotionBatch, TextFeatures, frame_mask
+
+UNIT = 4
+"""Frames that the lengths of crops are multiples of, as `ClipDataset` cuts them (MARDM §2)."""
 
 TextEncoder = Callable[[list[str]], TextFeatures]
 
 
-@runtime_checkable
-class Source(Protocol):
+class Source(ABC):
     """Answer the captions of a batch with motions, in the same order.
 
     `seeds` hold one seed per row, and a row's answer depends on its own seed only. `multimodal`: other seeds give
-    other motions. `reconstructs`: row i is meant to equal row i of the batch, frame by frame.
+    other motions. `reconstructs`: row i is meant to equal row i of the batch, frame by frame. `text_encoder` is what
+    reads the captions (None: nothing does).
     """
 
     label: str
-    multimodal: bool
-    reconstructs: bool
+    multimodal: bool = False
+    reconstructs: bool = False
+    text_encoder: TextEncoder | None = None
 
-    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch: ...
+    @abstractmethod
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Return the motions."""
+
+    def measured(self) -> dict[str, float]:
+        """Return what the source measured of itself since the last call, by the names of metrics."""
+        return {}
 
 
-class RealMotion:
+class RealMotion(Source):
     """Answer with the captured motion itself: the row that every table has."""
 
-    label, multimodal, reconstructs = "real", False, False
+    label = "real"
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Return the batch."""
         return batch
 
 
-class ShuffledCaptions:
+class ShuffledCaptions(Source):
     """Answer with real motion of another caption of the batch: perfect FID, no knowledge of the text.
 
     Unlike the others it mixes rows: the pairing is drawn from the first row's seed.
     """
 
-    label, multimodal, reconstructs = "shuffled captions", False, False
+    label = "shuffled captions"
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Deal the motions along one random cycle, so that none meets its own caption."""
@@ -66,19 +79,16 @@ class ShuffledCaptions:
         return answer(batch, batch.features[rows], batch.lengths[rows])
 
 
-class Reconstruction:
-    """Answer with what a tokenizer makes of the real motion: the ceiling of every method that uses it.
+class Reconstruction(Source):
+    """Answer with what a tokenizer makes of the real motion: the ceiling of every method that uses it."""
 
-    `usage` counts the codes of a tokenizer that has them.
-    """
+    label, reconstructs = "reconstruction", True
 
-    label, multimodal, reconstructs = "reconstruction", False, True
-
-    def __init__(self, tokenizer: nn.Module) -> None:
-        self.tokenizer = tokenizer.eval()
+    def __init__(self, tokenizer: MotionTokenizer) -> None:
+        self.tokenizer, space = tokenizer.eval(), tokenizer.space
         self.usage = None
-        if getattr(tokenizer, "codebook_size", None):
-            self.usage = CodeUsage(tokenizer.codebook_size, tokenizer.quantizers, sync_on_compute=False)
+        if space.kind == "codes":
+            self.usage = CodeUsage(space.codebook_size, space.quantizers, sync_on_compute=False)
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Encode and decode the batch."""
@@ -88,52 +98,62 @@ class Reconstruction:
         decoded = self.tokenizer.decode(latents)
         return answer(batch, decoded.features, decoded.lengths)
 
+    def measured(self) -> dict[str, float]:
+        """Return how many codes were used, how many never, and how evenly."""
+        if self.usage is None:
+            return {}
+        counted = self.usage.compute()
+        self.usage.reset()
+        names = {"codes_used": "used", "dead_codes": "dead", "code_perplexity": "perplexity"}
+        return {key: float(counted[name]) for key, name in names.items()}
 
-class NoiseLatents:
+
+class NoiseLatents(Source):
     """Answer with decoded noise of the latents' mean and deviation: plausible marginals, nothing else.
 
     `mean` and `std` have the latent's width.
     """
 
-    label, multimodal, reconstructs = "noise latents", True, False
+    label, multimodal = "noise latents", True
 
-    def __init__(self, tokenizer: nn.Module, mean: Float[Tensor, " c"], std: Float[Tensor, " c"]) -> None:
+    def __init__(self, tokenizer: MotionTokenizer, mean: Float[Tensor, " c"], std: Float[Tensor, " c"]) -> None:
         self.tokenizer, self.mean, self.std = tokenizer.eval(), mean, std
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Decode one noise sequence per row, of the real length."""
-        lengths = batch.lengths // self.tokenizer.downsample
+        space = self.tokenizer.space
+        lengths, frames = space.latents_of(batch.lengths), space.covered(batch.lengths)
         values = torch.zeros(len(lengths), int(lengths.max()), len(self.mean))
         for row, length, seed in zip(values, lengths.tolist(), seeds.tolist(), strict=True):
             # Drawn at its own length: a draw's values depend on its size.
             noise = torch.randn(length, len(self.mean), generator=torch.Generator().manual_seed(seed))
             row[:length] = noise * self.std.cpu() + self.mean.cpu()
-        frames = lengths * self.tokenizer.downsample
         decoded = self.tokenizer.decode(Latents(lengths, frames, values.to(batch.features.device)))
         return answer(batch, decoded.features, decoded.lengths)
 
 
-class NoiseCodes:
+class NoiseCodes(Source):
     """Answer with decoded codes drawn one by one as often as training clips use them: plausible marginals, no more.
 
     `shares` holds each layer's share of every code.
     """
 
-    label, multimodal, reconstructs = "noise codes", True, False
+    label, multimodal = "noise codes", True
 
-    def __init__(self, tokenizer: nn.Module, shares: Float[Tensor, "q k"]) -> None:
+    def __init__(self, tokenizer: MotionTokenizer, shares: Float[Tensor, "q k"]) -> None:
         self.tokenizer, self.shares = tokenizer.eval(), shares.cpu()
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Decode one sequence of independent codes per row, of the real length."""
-        lengths = batch.lengths // self.tokenizer.downsample
+        space = self.tokenizer.space
+        lengths, frames = space.latents_of(batch.lengths), space.covered(batch.lengths)
         size = int(lengths.max())
         layers = []
         for layer, share in enumerate(self.shares):
             logits = share.log().expand(len(lengths), size, -1)
             layers.append(SeededDraws(seeds).pick(layer, logits))
         codes = torch.stack(layers, dim=-1).to(lengths.device) * frame_mask(lengths, size)[..., None]
-        decoded = self.tokenizer.decode(Latents(lengths, lengths * self.tokenizer.downsample, codes=codes))
+        decoded = self.tokenizer.decode(Latents(lengths, frames, codes=codes))
         return answer(batch, decoded.features, decoded.lengths)
 
 
@@ -146,17 +166,19 @@ class TrainingClips(Protocol):
     def frames_of(self, entry: int) -> np.ndarray: ...
 
 
-class NearestTrainingCaption:
+class NearestTrainingCaption(Source):
     """Answer with the training clip whose caption is nearest to the prompt: what memory alone achieves.
 
     Nearest is by the cosine of pooled text features. The answer starts at the clip's first frame and is as long as
-    the prompt's motion, or as the clip (in multiples of four) if that is shorter.
+    the prompt's motion, or as the clip (in multiples of `unit`, as crops are) if that is shorter.
     """
 
-    label, multimodal, reconstructs = "nearest training caption", False, False
+    label = "nearest training caption"
 
-    def __init__(self, store: TrainingClips, entries: Sequence[int] | np.ndarray, text_encoder: TextEncoder) -> None:
-        self.store, self.text_encoder = store, text_encoder
+    def __init__(
+        self, store: TrainingClips, entries: Sequence[int] | np.ndarray, text_encoder: TextEncoder, *, unit: int = UNIT
+    ) -> None:
+        self.store, self.text_encoder, self.unit = store, text_encoder, unit
         known = [(caption.text, int(entry)) for entry in entries for caption in store.entry_captions(int(entry))]
         if not known:
             raise ValueError("none of the training entries has a caption; choose a split with captions")
@@ -167,7 +189,9 @@ class NearestTrainingCaption:
         """Look the prompts up."""
         nearest = (self._embed(batch.texts) @ self.keys.T).argmax(1).tolist()
         clips = [np.asarray(self.store.frames_of(self.entries[k])) for k in nearest]
-        counts = [min(n, len(clip) // 4 * 4) for n, clip in zip(batch.lengths.tolist(), clips, strict=True)]
+        counts = [
+            min(n, len(clip) // self.unit * self.unit) for n, clip in zip(batch.lengths.tolist(), clips, strict=True)
+        ]
         features = np.zeros((len(clips), max(counts), clips[0].shape[1]), dtype=np.float32)
         for row, clip, count in zip(features, clips, counts, strict=True):
             row[:count] = clip[:count]
@@ -179,87 +203,65 @@ class NearestTrainingCaption:
         return F.normalize(torch.cat(parts), dim=-1)
 
 
-class Generated:
-    """Answer with a method's motions: text -> latents -> motion.
+class Generated(Source):
+    """Answer with a method's motions, by the path that its users take.
 
-    `lengths`: "real" gives the generator the test clip's length (MARDM, MMM, BAD, MoMask); "predicted" leaves it to a
-    generator that ends its sequences itself (T2M-GPT, AttT2M, BAMM, MotionGPT), else to `length_estimator`.
+    `lengths`: "real" gives the method the test clip's length (MARDM, MMM, BAD, MoMask); "predicted" leaves it to a
+    generator that ends its sequences itself (T2M-GPT, AttT2M, BAMM, MotionGPT), else to the length estimator.
     """
 
-    multimodal, reconstructs = True, False
+    multimodal = True
 
     def __init__(
-        self,
-        generator: nn.Module,
-        tokenizer: nn.Module,
-        text_encoder: TextEncoder,
-        *,
-        lengths: str = "real",
-        length_estimator: nn.Module | None = None,
-        sampling: Any = None,
-        label: str = "generated",
+        self, model: TextToMotion, *, lengths: str = "real", sampling: Any = None, label: str = "generated"
     ) -> None:
         if lengths not in ("real", "predicted"):
             raise ValueError(f"lengths={lengths!r}; allowed: real, predicted")
-        self.generator, self.tokenizer, self.text_encoder = generator.eval(), tokenizer.eval(), text_encoder
-        self.length_estimator = length_estimator.eval() if length_estimator is not None else None
-        self.lengths, self.sampling, self.label = lengths, sampling, label
+        if lengths == "predicted" and not model.knows_lengths:
+            raise ValueError("lengths=predicted needs a generator that ends its sequences itself or a length estimator")
+        self.model, self.lengths, self.sampling, self.label = model.eval(), lengths, sampling, label
+        self.text_encoder = model.text_encoder
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Generate one motion per caption."""
-        text = self.text_encoder(batch.texts).to(batch.features.device)
-        text.clip_ids = list(batch.clip_ids)
-        frames = batch.lengths if self.lengths == "real" else self._predicted(text, seeds)
-        latents = self.generator.sample(text, frames, seeds=seeds, sampling=self.sampling)
-        decoded = self.tokenizer.decode(latents)
-        return answer(batch, decoded.features, decoded.lengths)
-
-    def _predicted(self, text: TextFeatures, seeds: Int[Tensor, " b"]) -> Int[Tensor, " b"] | None:
-        if getattr(self.generator, "predicts_length", False):
-            return None
-        if self.length_estimator is None:
-            raise ValueError("lengths=predicted needs a generator that ends its sequences itself or a length estimator")
-        most = self.generator.max_latents * self.tokenizer.downsample
-        return self.length_estimator.predict(text, seeds).clamp(self.tokenizer.downsample, most)
+        text = encode_captions(self.text_encoder, batch)
+        frames = batch.lengths if self.lengths == "real" else None
+        made = self.model.sample(text, frames, seeds=seeds, sampling=self.sampling)
+        return answer(batch, made.features, made.lengths)
 
 
-class Edited:
+class Edited(Source):
     """Answer with the real motion of which one of BAD's four tasks is regenerated to the caption (BAD §5).
 
     What is kept is encoded stretch by stretch. Without `paste`, as published, kept frames are the tokenizer's
     reconstruction; with it they are the real ones.
     """
 
-    multimodal, reconstructs = False, False
-
     def __init__(
-        self,
-        generator: nn.Module,
-        tokenizer: nn.Module,
-        text_encoder: TextEncoder,
-        *,
-        task: str,
-        paste: bool = False,
-        sampling: Any = None,
-        label: str = "edited",
+        self, model: TextToMotion, *, task: str, paste: bool = False, sampling: Any = None, label: str = "edited"
     ) -> None:
         task_slots(task, torch.ones(1, dtype=torch.int64))  # an unknown task is refused before anything is computed
-        self.generator, self.tokenizer, self.text_encoder = generator.eval(), tokenizer.eval(), text_encoder
-        self.task, self.paste, self.sampling, self.label = task, paste, sampling, label
+        model.tokenizer.space.in_time("editing")
+        self.model, self.task, self.paste, self.sampling, self.label = model.eval(), task, paste, sampling, label
+        self.text_encoder = model.text_encoder
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Edit every motion to its own caption."""
-        unit = self.tokenizer.downsample
-        known = encode_kept(self.tokenizer, batch, task_slots(self.task, batch.lengths // unit))
-        text = self.text_encoder(batch.texts).to(batch.features.device)
-        text.clip_ids = list(batch.clip_ids)
-        latents = self.generator.sample(text, None, seeds=seeds, known=known, sampling=self.sampling)
-        decoded = self.tokenizer.decode(latents)
-        features = decoded.features
+        tokenizer = self.model.tokenizer
+        keep = task_slots(self.task, tokenizer.space.latents_of(batch.lengths))
+        known = encode_kept(tokenizer, batch, keep)
+        text = encode_captions(self.text_encoder, batch)
+        made = self.model.sample(text, seeds=seeds, known=known, sampling=self.sampling)
         if self.paste:
-            real = known.mask.repeat_interleave(unit, dim=1)[:, : features.shape[1], None]
-            features = torch.where(real, batch.features[:, : features.shape[1], : features.shape[2]], features)
-        return answer(batch, features, decoded.lengths)
+            made = paste(made, batch.features, kept_frames(known.mask, tokenizer.space))
+        return answer(batch, made.features, made.lengths)
+
+
+def encode_captions(encoder: TextEncoder, batch: MotionBatch) -> TextFeatures:
+    """Encode a batch's captions; the clips' names go along."""
+    text = encoder(batch.texts).to(batch.features.device)
+    text.clip_ids = list(batch.clip_ids)
+    return text
 
 
 def answer(prompt: MotionBatch, features: Float[Tensor, "b t w"], lengths: Int[Tensor, " b"]) -> MotionBatch:

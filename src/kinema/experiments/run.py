@@ -100,7 +100,6 @@ def check_parts(cfg: DictConfig, stage: Stage) -> None:
     from torch import nn
 
     from kinema.experiments.instantiate import model_spec, read_model
-    from kinema.generators.momask.cascade import check_stages
     from kinema.pipeline.compatibility import check_pair
     from kinema.runs.build import build
 
@@ -121,7 +120,7 @@ def check_parts(cfg: DictConfig, stage: Stage) -> None:
             )
     check_pair(tokenizer, model)
     if stage.name == "residual":
-        check_stages(build_meta(cfg, "generator"), model)
+        build_meta(cfg, "generator").attach(stage.name, model)
 
 
 def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> RunFolder:

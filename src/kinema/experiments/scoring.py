@@ -62,7 +62,7 @@ class Scorer:
             },
             "words": words["matching"],
             "tokens": words["contrastive"],
-            "text_encoder": getattr(getattr(self.source, "text_encoder", None), "identity", None),
+            "text_encoder": self.source.text_encoder.identity if self.source.text_encoder else None,
             "sampling": sampling,
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
@@ -85,12 +85,7 @@ class Scorer:
         )
         if self.cfg.source == "real":
             result.metrics["half_fid"] = self._half_fid(replication)
-        usage = getattr(self.source, "usage", None)
-        if usage is not None:
-            counted = usage.compute()
-            for key, name in (("codes_used", "used"), ("dead_codes", "dead"), ("code_perplexity", "perplexity")):
-                result.metrics[key] = float(counted[name])
-            usage.reset()
+        result.metrics.update(self.source.measured())
         return result
 
     def _batches(self, replication: int) -> Iterator[MotionBatch]:
@@ -121,7 +116,7 @@ class Scorer:
         np.savez(temporary, texts=np.array(batch.texts[:count]), skeleton=np.array(self.store.skeleton.name), **arrays)
         temporary.replace(path)
 
-    def _source(self, runs: dict[str, Path]) -> Any:
+    def _source(self, runs: dict[str, Path]) -> sources.Source:
         name, cfg = self.cfg.source, self.cfg
         if name == "real":
             return sources.RealMotion()
@@ -134,28 +129,19 @@ class Scorer:
             from kinema.pipeline import TextToMotion
 
             # The parts that the row is named by, whatever the generator's run links to.
-            parts = {"residual": runs.get("residual"), "length": runs.get("length")}
-            pipeline = TextToMotion.from_run(runs["generator"], device=self.device, **parts)
+            parts = {name: runs.get(name) for name in ("residual", "length")}
+            model = TextToMotion.from_run(runs["generator"], device=self.device, **parts)
             sampling = build(plain(cfg.generator.sampling))
-            own = pipeline.generator.sampling
-            if type(sampling) is not type(own):
-                raise ValueError(
-                    f"run={runs['generator']} samples by {type(own).__name__}, method={cfg.method.name} by "
-                    f"{type(sampling).__name__}; choose the method= of the run"
-                )
-            if hasattr(pipeline.generator, "process"):  # a solver of another method's process is refused at once
-                pipeline.generator.process.resolve(sampling.solver, sampling.solver_steps)
+            model.generator.check_sampling(sampling)
             # The run's own text encoder, which need not be the configuration's (an imported run).
-            text = encode_captions(cached(cfg, pipeline.text_encoder), self.store, self.protocol.split)
-            parts = (pipeline.generator, pipeline.tokenizer, text)
+            model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)
             if cfg.task == "editing":
-                return sources.Edited(*parts, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
-            estimator = pipeline.length_estimator
-            return sources.Generated(*parts, lengths=cfg.lengths, length_estimator=estimator, sampling=sampling)
+                return sources.Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
+            return sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
         tokenizer = read_model(runs["tokenizer"])[0].to(self.device)
         if name == "reconstruction":
             return sources.Reconstruction(tokenizer)
-        if getattr(tokenizer, "codebook_size", None):
+        if tokenizer.space.kind == "codes":
             return sources.NoiseCodes(tokenizer, self._code_shares(tokenizer))
         return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))
 
@@ -170,8 +156,7 @@ class Scorer:
         rows = []
         for _, batch in zip(range(batches), drawn, strict=False):
             latents = tokenizer.encode(batch.to(self.device))
-            content = latents.values if latents.codes is None else latents.codes
-            rows.append(content[latents.mask])
+            rows.append(latents.content[latents.mask])
         return torch.cat(rows)
 
     def _latent_statistics(self, tokenizer: Any) -> tuple[torch.Tensor, torch.Tensor]:
@@ -182,7 +167,7 @@ class Scorer:
     def _code_shares(self, tokenizer: Any) -> torch.Tensor:
         """Return how often each layer's codes are used."""
         rows = self._training_latents(tokenizer)
-        counts = [torch.bincount(layer, minlength=tokenizer.codebook_size) for layer in rows.T]
+        counts = [torch.bincount(layer, minlength=tokenizer.space.codebook_size) for layer in rows.T]
         return torch.stack(counts) / len(rows)
 
     def _fields(self, batch: MotionBatch) -> dict[str, list[str]]:

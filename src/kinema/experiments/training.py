@@ -24,10 +24,18 @@ from kinema.runs.build import build
 from kinema.runs.folder import RunFolder, global_rank, write_json
 from kinema.training.callbacks import Samples
 from kinema.training.fit import Machine, find_device, fit
-from kinema.training.latents import LatentCache
+from kinema.training.latents import latent_source
 from kinema.training.loggers import loggers
-from kinema.training.modules import EvaluatorModule, GeneratorModule, StageModule, TokenizerModule, step_seed
+from kinema.training.modules import (
+    EvaluatorModule,
+    GeneratorModule,
+    LatentSource,
+    StageModule,
+    TokenizerModule,
+    step_seed,
+)
 from kinema.training.recipe import Recipe
+from kinema.types import Latents, MotionBatch
 
 
 def train_stage(
@@ -73,7 +81,7 @@ def train_stage(
     if global_rank() > 0:
         return summary
     model.load_state_dict(fitted.weights)
-    meta = {"stage": stage.name, "label": folder.path.name, "corpus": store.manifest["hash"], "step": fitted.step}
+    meta = {"part": stage.name, "label": folder.path.name, "corpus": store.manifest["hash"], "step": fitted.step}
     if "tokenizer" in upstream:
         meta["representation"] = read_model(upstream["tokenizer"].path)[0].representation.identity()
     if "text" in stage.reads:
@@ -116,7 +124,7 @@ def make_module(
         return EvaluatorModule(model, recipe, cfg.seed)
     device = find_device(cfg.trainer.accelerator)
     text = encode_captions(text_encoder(cfg, device), store, "train", "val")
-    latents: Any = crop_frames
+    latents: LatentSource = crop_lengths
     if "tokenizer" in upstream:
         tokenizer, _ = read_model(upstream["tokenizer"].path)
         check_pair(tokenizer, model)
@@ -125,24 +133,11 @@ def make_module(
         # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
         with upstream["tokenizer"].lock():
             where = upstream["tokenizer"].path / f"latents-{store.hash[:12]}"
-            cache = LatentCache.ensure(where, tokenizer, clips, device)
-        latents = cache
-        prepare(model, tokenizer, cache)
+            latents = latent_source(where, tokenizer, clips, device)
+        model.prepare(tokenizer, latents)
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
 
 
-def prepare(model: nn.Module, tokenizer: nn.Module, cache: LatentCache) -> None:
-    """Return a generator what it keeps of its tokenizer, and load the weights it starts from."""
-    if hasattr(model, "set_latent_range"):
-        model.set_latent_range(*cache.range())
-    if hasattr(model, "set_codebook"):
-        model.set_codebook(tokenizer.codebook)
-    if hasattr(model, "load_pretrained"):
-        model.load_pretrained()
-
-
-def crop_frames(batch: Any) -> Any:
+def crop_lengths(batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
     """Return latents that hold the number of frames alone (the length estimator reads nothing else)."""
-    from kinema.types import Latents
-
-    return Latents(lengths=batch.lengths // 4, frames=batch.lengths)
+    return Latents(lengths=batch.lengths, frames=batch.lengths)

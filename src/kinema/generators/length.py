@@ -7,12 +7,13 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.generators import LatentModel
 from kinema.types import Latents, Losses, TextFeatures
 
 HIDDEN = (512, 256, 128)
 
 
-class LengthEstimator(nn.Module):
+class LengthEstimator(LatentModel):
     """Classify the number of latents from the pooled text (MARDM §6); class 0 is never predicted."""
 
     def __init__(self, text_dim: int, classes: int = 50, downsample: int = 4, dropout: float = 0.2) -> None:
@@ -37,12 +38,13 @@ class LengthEstimator(nn.Module):
         shard: tuple[int, int] = (0, 1),
     ) -> Losses:
         """Return the cross entropy of the latents' counts; nothing is drawn from `generator`."""
-        longest = int(latents.lengths.max())
+        counts = latents.frames // self.downsample
+        longest = int(counts.max())
         if longest >= self.classes:
             raise ValueError(
                 f"a motion of {longest} latents exceeds the {self.classes - 1} that this estimator predicts"
             )
-        return {"loss": F.cross_entropy(self(text.pooled), latents.lengths)}
+        return {"loss": F.cross_entropy(self(text.pooled), counts)}
 
     @torch.no_grad()
     def predict(self, text: TextFeatures, seeds: Int[Tensor, " b"]) -> Int[Tensor, " b"]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import choice, unmask_tokens
-from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.draws import StepDraws, share_of
+from kinema.generators.tokens.reader import CodebookReader
 from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
 from kinema.masking import lowest, masked_count, shrinking_counts
 from kinema.nn.mode import inference
@@ -36,7 +37,7 @@ class MmmSampling:
 
 
 @dataclass
-class MmmDraws:
+class MmmDraws(StepDraws):
     """Hold what a training step draws, over all `n` positions whether they are real or not."""
 
     keep: Bool[Tensor, "b n"]
@@ -67,21 +68,13 @@ class MmmDraws:
             order=uniform(*shape),
         )
 
-    def crop(self, rows: slice, positions: int) -> MmmDraws:
-        """Take the draws of some samples and of their first positions."""
-        cropped = {f.name: getattr(self, f.name)[rows] for f in fields(self)}
-        return MmmDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})
 
-
-class MMM(nn.Module):
+class MMM(CodebookReader):
     """Masked transformer over the codes of a tokenizer whose codebook it reads (MMM).
 
     In training a code is kept with probability `pkeep`, else replaced by a random one (-1: one probability per batch);
     then a share U(0.5, 1) of the positions is masked. Lengths are frames // `downsample`, at most `max_latents`.
     """
-
-    quantizers = 1
-    predicts_length = False
 
     def __init__(
         self,
@@ -103,13 +96,10 @@ class MMM(nn.Module):
         downsample: int = 4,
         sampling: MmmSampling | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(codebook_size=codebook_size, code_dim=code_dim, max_latents=max_latents, downsample=downsample)
         if not (pkeep == -1 or 0 <= pkeep <= 1):
             raise ValueError(f"pkeep is {pkeep}; give a probability in [0, 1], or -1 for a random one per batch")
-        self.codebook_size = codebook_size
         self.pkeep = pkeep
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or MmmSampling()
         self.mask_id = codebook_size + 2
         self.transformer = TokenTransformer(
@@ -127,15 +117,6 @@ class MMM(nn.Module):
             dropout=dropout,
             words=words,
         )
-
-    @property
-    def codebook(self) -> Float[Tensor, "k d"]:
-        """The tokenizer's codebook (zeros until `set_codebook`)."""
-        return self.transformer.codebook
-
-    def set_codebook(self, codebook: Float[Tensor, "k d"]) -> None:
-        """Take over the tokenizer's codebook; call it before training."""
-        self.transformer.set_codebook(codebook)
 
     def forward(
         self, ids: Int[Tensor, "b n"], text: TextFeatures, lengths: Int[Tensor, " b"]
@@ -159,17 +140,8 @@ class MMM(nn.Module):
         `shard` = (rank, world); in eval mode no code is replaced. Dropout is torch's own. `draws` replaces them all
         (tests).
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
-        batch, positions = codes.shape
-        if draws is None:
-            rank, world = shard
-            draws = MmmDraws.draw(
-                (batch * world, self.max_latents),
-                self.codebook_size,
-                pkeep=self.pkeep if self.training else 1.0,
-                generator=generator,
-                device=codes.device,
-            ).crop(slice(rank * batch, (rank + 1) * batch), positions)
+        codes = self.codes(latents)
+        draws = draws or self._draw(codes, generator, shard)
         masked = lowest(draws.order, latents.mask, masked_count(latents.lengths, draws.ratio))
         ids = torch.where(draws.keep, codes, draws.replacement).masked_fill(masked, self.mask_id)
         return code_losses(self(ids, text, latents.lengths), codes, latents.mask)
@@ -190,17 +162,7 @@ class MMM(nn.Module):
         padding is 0. `draws` replaces what the seeds draw (tests).
         """
         sampling = sampling or self.sampling
-        device = self.codebook.device
-        request = token_request(
-            text,
-            frames,
-            seeds,
-            known,
-            codebook_size=self.codebook_size,
-            downsample=self.downsample,
-            max_latents=self.max_latents,
-            device=device,
-        )
+        device, request = self.codebook.device, self.request(text, frames, seeds, known)
         text, codes, free = text.to(device), request.codes[..., 0], request.real & ~request.keep
         counts = shrinking_counts(request.lengths.cpu(), sampling.steps, self.max_latents, free.sum(dim=1).cpu())
 
@@ -210,4 +172,14 @@ class MMM(nn.Module):
         choose = choice(draws or SeededDraws(seeds), sampling.temperature)
         with inference(self):
             *_, (_, codes) = unmask_tokens(codes, free, counts.to(device), predict, choose)
-        return Latents(request.lengths, request.frames, codes=codes[..., None])
+        base = self.latents(codes, request.lengths)
+        return self.completed(base, text, seeds=seeds, known=known, sampling=sampling)
+
+    def _draw(self, codes: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]) -> MmmDraws:
+        pkeep = self.pkeep if self.training else 1.0
+
+        def draw(samples: int) -> MmmDraws:
+            shape = (samples, self.max_latents)
+            return MmmDraws.draw(shape, self.codebook_size, pkeep=pkeep, generator=generator, device=codes.device)
+
+        return share_of(draw, len(codes), shard, codes.shape[1])

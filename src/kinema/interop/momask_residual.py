@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from kinema.generators.momask.residual import ResidualTransformer
+from kinema.generators.tokens.residual import ResidualTransformer
 from kinema.interop.checkpoint import require, transfer
 from kinema.interop.momask import encoder_rules, encoder_spec, export_encoder, split_attention
 
@@ -32,7 +32,7 @@ def load(
     kind = "momask-residual"
     encoder, (tables, names) = encoder_spec(state, kind), _tables(state, kind)
     spec = {
-        "_target_": "kinema.generators.momask.ResidualTransformer",
+        "_target_": "kinema.generators.tokens.residual.ResidualTransformer",
         "codebook_size": tables["tables"].shape[1] - 1,
         "quantizers": require(state, "quant_emb.weight", kind=kind).shape[1],
         "share_weights": "score_tables" not in tables,
@@ -42,7 +42,7 @@ def load(
         "condition_drop": condition_drop,
         "max_latents": max_latents,
         "downsample": downsample,
-        "sampling": {"_target_": "kinema.generators.momask.ResidualSampling", **(sampling or {})},
+        "sampling": {"_target_": "kinema.generators.tokens.residual.ResidualSampling", **(sampling or {})},
     }
     rules = [*encoder_rules(encoder["layers"]), (r"quant_emb\.(weight|bias)", r"layer_projection.\1")]
     rules += [(name, name) for name in tables]

@@ -10,18 +10,18 @@ from typing import Any
 from torch import nn
 
 from kinema import interop
-from kinema.generators.momask.cascade import check_stages
+from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop import Kind, find_kind
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs import weights as artifacts
-from kinema.runs.parts import load_part, new_folder, write_json
+from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, load_part, new_folder, write_json
 from kinema.text.clip import WHOLE
 from kinema.text.encoders import ENCODERS
 
-CALLS = {"tokenizer": "decode", "length": "predict", "residual": "complete"}
-"""What a part that a run is linked to can be told by."""
+LINKS = (TOKENIZER, RESIDUAL, LENGTH)
+"""What a run can be linked to."""
 
-READS_TEXT = ("generator", "residual", "length")
+READS_TEXT = (GENERATOR, RESIDUAL, LENGTH)
 
 
 def import_run(
@@ -45,14 +45,14 @@ def import_run(
     _check_links(kind, known, links)
     if text not in ENCODERS:
         raise ValueError(f"unknown text encoder {text!r}; choose --text one of {', '.join(ENCODERS)}")
-    parts = {part: _load_part(part, run) for part, run in links.items()}
+    parts = {part: load_part(run, "cpu", part)[0] for part, run in links.items()}
     module = interop.load(kind, source, **(options or {}))
     check_parts({known.part: module, **parts})
     if module.spec.get("words") == "all" and text not in WHOLE:
         raise ValueError(f"words=all reads all 77 positions, --text {text} gives the text's own; use {WHOLE[0]}")
     out = Path(out)
     with new_folder(out) as folder:
-        artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, kind=kind, source=str(source))
+        artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, part=known.part, kind=kind, source=str(source))
         write_json(folder / "upstream.json", {part: os.path.relpath(run, out) for part, run in links.items()})
         if known.part in READS_TEXT:
             write_json(folder / "text.json", {"encoder": text, "path": text_path})
@@ -62,11 +62,12 @@ def import_run(
 
 def check_parts(parts: Mapping[str, nn.Module]) -> None:
     """Raise one ValueError that names what doesn't match: codes, downsampling, the codebook, the text's width."""
-    if {"generator", "residual"} <= parts.keys():
-        check_stages(parts["generator"], parts["residual"])
-    for name in ("generator", "residual"):
-        if {"tokenizer", name} <= parts.keys():
-            check_pair(parts["tokenizer"], parts[name])
+    tokenizer, generator = parts.get(TOKENIZER), parts.get(GENERATOR)
+    for name, part in parts.items():
+        if generator is not None and name in generator.parts:
+            generator.attach(name, part)
+        if tokenizer is not None and name != TOKENIZER:
+            check_pair(tokenizer, part)
     widths = {name: part.spec["text_dim"] for name, part in parts.items() if "text_dim" in part.spec}
     if len(set(widths.values())) > 1:
         listed = ", ".join(f"{name} {width}" for name, width in widths.items())
@@ -74,24 +75,16 @@ def check_parts(parts: Mapping[str, nn.Module]) -> None:
 
 
 def _check_links(kind: str, known: Kind, links: Mapping[str, Path]) -> None:
-    published = {"tokenizer": known.tokenizer, "residual": known.residual}
+    published = {TOKENIZER: known.tokenizer, RESIDUAL: known.residual}
     allowed = [part for part, name in published.items() if name]
-    if known.part == "generator":
-        allowed.append("length")
+    if known.part == GENERATOR:
+        allowed.append(LENGTH)
     for part in links:
         if part not in allowed:
             takes = " and ".join(f"--{name}" for name in allowed) or "no other run"
             raise ValueError(f"{kind} takes no --{part}; it takes {takes}")
-    if known.part == "generator" and "tokenizer" not in links:
+    if known.part == GENERATOR and TOKENIZER not in links:
         raise ValueError(
             f"{kind} needs --tokenizer RUN, the run folder of the tokenizer that it was trained on "
             f"(published with it: kinema import {known.tokenizer})"
         )
-
-
-def _load_part(part: str, run: Path) -> nn.Module:
-    module, _ = load_part(run, "cpu")
-    if not hasattr(module, CALLS[part]):
-        what = {"length": "length estimator", "residual": "residual transformer"}.get(part, part)
-        raise ValueError(f"--{part} {run} holds a {type(module).__name__}; give the run folder of a {what}")
-    return module

@@ -80,7 +80,7 @@ def to_facing(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[n
 
 
 def heading(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, " t"]:
-    """Return the yaw that takes each frame's smoothed forward direction to +Z; 0 at frame 0 (§3.6).
+    """Return the yaw that takes each frame's smoothed forward direction to +Z; 0 at frame 0 (HUMANML3D_DATA §3.6).
 
     The hip vector enters with the opposite sign of the shoulder vector: a published bug that the data carry.
     """
@@ -93,7 +93,7 @@ def heading(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.
 
 
 def contacts(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Bool[np.ndarray, "t-1 4"]:
-    """Mark feet that hardly move to the next frame: left ankle, left toe, right ankle, right toe (§3.5)."""
+    """Mark feet that hardly move to the next frame: left ankle, toe, right ankle, toe (HUMANML3D_DATA §3.5)."""
     step = np.diff(joints[:, [*skeleton.feet_left, *skeleton.feet_right]], axis=0)
     return np.square(step).sum(-1) < skeleton.contact_threshold
 
@@ -101,7 +101,7 @@ def contacts(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Bool[np.
 def local_rotations(
     joints: Float[np.ndarray, "t j 3"], yaw: Float[np.ndarray, " t"], skeleton: Skeleton
 ) -> Float[np.ndarray, "t j 3 3"]:
-    """Return each bone's orientation relative to its chain predecessor's; joint 0 holds the heading (§3.9).
+    """Return each bone's orientation relative to its predecessor's; joint 0 holds the heading (HUMANML3D_DATA §3.9).
 
     A bone's orientation is the shortest arc from its rest direction, so it knows nothing of twist.
     """

@@ -91,15 +91,20 @@ class Representation(nn.Module):
         used = Statistics(self.mean.cpu().numpy(), self.std.cpu().numpy())
         return {"kind": self.kind, "skeleton": self.skeleton_name, "variant": self.variant, "digest": used.digest()}
 
-    def _require_fitted(self) -> None:
+    @property
+    def fitted(self) -> bool:
+        """Whether it has statistics."""
         # Looked up once: reading a buffer costs a synchronisation on an accelerator.
         if not self._fitted:
-            if bool(torch.isnan(self.mean).any() | torch.isnan(self.std).any()):
-                raise ValueError(
-                    "this representation has no statistics; call representation.fit(store.statistics) or load the "
-                    "weights of a trained model"
-                )
-            self._fitted = True
+            self._fitted = not bool(torch.isnan(self.mean).any() | torch.isnan(self.std).any())
+        return self._fitted
+
+    def _require_fitted(self) -> None:
+        if not self.fitted:
+            raise ValueError(
+                "this representation has no statistics; call representation.fit(store.statistics) or load the "
+                "weights of a trained model"
+            )
 
     def _load_from_state_dict(self, *args: object, **kwargs: object) -> None:
         self._fitted = False

@@ -75,7 +75,7 @@ class Skeleton:
     def rotation_parents(self) -> tuple[int, ...]:
         """The joint whose orientation a rotation feature is relative to: 0, the heading, at every chain's start.
 
-        The arm chains hang on the heading too, not on the spine they start from (an official quirk, §3.9).
+        The arm chains hang on the heading too, not on the spine they start from (a quirk, HUMANML3D_DATA §3.9).
         """
         parents = list(self.parents)
         for chain in self.chains:

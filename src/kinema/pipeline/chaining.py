@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from kinema.types import Known, Latents, frame_mask
+from kinema.types import Known, Latents, LatentSpace, frame_mask
 
 
-def bridges(parts: Latents, transition: int, most: int) -> Known:
+def bridges(parts: Latents, space: LatentSpace, transition: int, most: int) -> Known:
     """Make one window for each pair of neighbours: [last half | free latents | first half] (BAD §5).
 
     A half is half of its part, less where the window would exceed `most` latents. Raises ValueError for a transition
@@ -29,15 +29,15 @@ def bridges(parts: Latents, transition: int, most: int) -> Known:
     is_left, is_right = from_left < parts.lengths[:-1, None], from_right >= 0
     keep = (is_left | is_right) & frame_mask(lengths, len(position))
     gathered = torch.where(
-        is_left[..., None], _take(_content(parts)[:-1], from_left), _take(_content(parts)[1:], from_right)
+        is_left[..., None], _take(parts.content[:-1], from_left), _take(parts.content[1:], from_right)
     )
-    unit = _frames_per_latent(parts)
-    return Known(_with(Latents(lengths, lengths * unit), parts, gathered * keep[..., None]), keep)
+    known = replace(parts.with_content(gathered * keep[..., None]), lengths=lengths, frames=space.frames_of(lengths))
+    return Known(known, keep)
 
 
-def join(parts: Latents, bridged: Latents, free: Bool[Tensor, "b n"]) -> Latents:
+def join(parts: Latents, space: LatentSpace, bridged: Latents, free: Bool[Tensor, "b n"]) -> Latents:
     """Put what was generated between the parts (`free` in each window) between them: one sequence."""
-    content, between = _content(parts), _content(bridged)
+    content, between = parts.content, bridged.content
     pieces = []
     for i, length in enumerate(parts.lengths.tolist()):
         pieces.append(content[i, :length])
@@ -45,19 +45,7 @@ def join(parts: Latents, bridged: Latents, free: Bool[Tensor, "b n"]) -> Latents
             pieces.append(between[i][free[i]])
     whole = torch.cat(pieces)[None]
     lengths = torch.tensor([whole.shape[1]], device=parts.lengths.device)
-    return _with(Latents(lengths, lengths * _frames_per_latent(parts)), parts, whole)
-
-
-def _content(latents: Latents) -> Tensor:
-    return latents.values if latents.codes is None else latents.codes
-
-
-def _with(shape: Latents, like: Latents, content: Tensor) -> Latents:
-    return replace(shape, **{"values" if like.codes is None else "codes": content})
-
-
-def _frames_per_latent(latents: Latents) -> int:
-    return int(latents.frames[0] // latents.lengths[0])
+    return replace(parts.with_content(whole), lengths=lengths, frames=space.frames_of(lengths))
 
 
 def _take(content: Tensor, index: Int[Tensor, "b n"]) -> Tensor:

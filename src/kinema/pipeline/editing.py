@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from kinema.types import Motion
+from kinema.types import LatentSpace, Motion, MotionBatch
 
 Ranges = list[tuple[int, int]]
 """Half-open ranges of frames to regenerate."""
@@ -84,20 +85,32 @@ def edited_frames(ranges: Sequence[Ranges], size: int) -> Bool[Tensor, "b t"]:
     return mask
 
 
-def kept_latents(edited: Bool[Tensor, "b t"], downsample: int) -> Bool[Tensor, "b n"]:
+def kept_latents(edited: Bool[Tensor, "b t"], space: LatentSpace) -> Bool[Tensor, "b n"]:
     """Keep the latents none of whose frames is regenerated."""
-    return ~edited.unflatten(1, (-1, downsample)).any(-1)
+    return ~edited.unflatten(1, (-1, space.in_time("keeping a part of a motion"))).any(-1)
+
+
+def kept_frames(kept: Bool[Tensor, "b n"], space: LatentSpace) -> Bool[Tensor, "b t"]:
+    """Mark the frames of kept latents."""
+    return kept.repeat_interleave(space.in_time("keeping a part of a motion"), dim=1)
+
+
+def paste(result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b t"]) -> MotionBatch:
+    """Put the source's rows, of the result's columns, in the place of those that are kept."""
+    size, width = result.features.shape[1:]
+    kept = (keep[:, :size] & result.mask)[..., None]
+    return replace(result, features=torch.where(kept, source[:, :size, :width], result.features))
 
 
 def stack_sources(
-    motions: Sequence[Motion], width: int, unit: int
+    motions: Sequence[Motion], width: int, space: LatentSpace
 ) -> tuple[Float[Tensor, "b t d"], Int[Tensor, " b"], Int[Tensor, " b"]]:
     """Stack feature rows, zero-padded; each clip's last row is repeated up to a whole number of latents.
 
     Gives (features, frames of the clips, frames with the repetition).
     """
     frames = torch.tensor([len(m.features) for m in motions])
-    filled = (frames + unit - 1) // unit * unit
+    filled = space.whole(frames)
     stacked = np.zeros((len(motions), int(filled.max()), width), np.float32)
     for row, motion, end in zip(stacked, motions, filled.tolist(), strict=True):
         row[: len(motion.features)] = motion.features[:, :width]

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Bool
-from torch import Tensor, nn
+from torch import Tensor
 
-from kinema.types import Known, Latents, MotionBatch
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Known, MotionBatch
 
 
-def encode_kept(tokenizer: nn.Module, motion: MotionBatch, keep: Bool[Tensor, "b n"]) -> Known:
+def encode_kept(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tensor, "b n"]) -> Known:
     """Encode every stretch of kept latents (True) as a clip of its own, as the published editing does (BAD §5).
 
     An encoder's latents look sideways: encoded within the whole clip, those beside an edit would know the frames that
-    it replaces. Positions that are not kept hold zeros.
+    it replaces. Positions that are not kept hold zeros. Raises ValueError for latents that have no place in time.
     """
-    unit, lengths = tokenizer.downsample, motion.lengths // tokenizer.downsample
+    unit, lengths = tokenizer.space.in_time("keeping a part of a motion"), tokenizer.space.latents_of(motion.lengths)
     keep = keep & (torch.arange(keep.shape[1], device=keep.device) < lengths[:, None])
     rows, starts, ends = stretches(keep)
-    whole = Latents(lengths, lengths * unit)
     if not len(rows):
         # Nothing is kept; the shape of the latents is all that is needed.
         latents = tokenizer.encode(motion)
@@ -28,11 +30,9 @@ def encode_kept(tokenizer: nn.Module, motion: MotionBatch, keep: Bool[Tensor, "b
     inside = offsets < ((ends - starts) * unit)[:, None]
     pieces = motion.features[rows[:, None], frames.clamp(max=motion.features.shape[1] - 1)] * inside[..., None]
     encoded = tokenizer.encode(MotionBatch(pieces, (ends - starts) * unit))
-    found = encoded.values if encoded.codes is None else encoded.codes
-    latents = found.new_zeros(*keep.shape, found.shape[2])
-    latents[keep] = found[encoded.mask]
-    name = "values" if encoded.codes is None else "codes"
-    return Known(Latents(whole.lengths, whole.frames, **{name: latents}), keep)
+    content = encoded.content.new_zeros(*keep.shape, encoded.content.shape[2])
+    content[keep] = encoded.content[encoded.mask]
+    return Known(replace(encoded.with_content(content), lengths=lengths, frames=lengths * unit), keep)
 
 
 def stretches(keep: Bool[Tensor, "b n"]) -> tuple[Tensor, Tensor, Tensor]:

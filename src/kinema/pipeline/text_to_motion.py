@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -10,45 +10,52 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from torch import Tensor, nn
 
+from kinema.generators import Generator, LatentModel
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.pipeline.arguments import batches, check_length, frame_counts, paired, sample_seeds
 from kinema.pipeline.chaining import bridges, join
-from kinema.pipeline.compatibility import check_pair, check_representation
+from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.editing import edited_frames, kept_latents, resolve_ranges, stack_sources
+from kinema.pipeline.editing import paste as paste_rows
+from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept
-from kinema.runs import weights as artifacts
-from kinema.runs.parts import load_part, new_folder, read_json, write_json
-from kinema.text.encoders import FrozenTextEncoder, build_text_encoder, check_texts
-from kinema.types import Latents, Motion, MotionBatch
-
-LINKED = "linked"
-"""Take the part that the run's upstream.json names."""
+from kinema.runs.parts import LENGTH, TOKENIZER
+from kinema.text.encoders import FrozenTextEncoder, check_texts
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Known, Motion, MotionBatch, TextFeatures
 
 
 class TextToMotion:
     """Generate and edit motion from text.
 
-    `meta["text"]` = {"encoder": name, "path": ...} says how the text encoder is made again; `save` needs it.
+    `parts` stand beside the generator by their names: those that it names itself (`generator.parts`, e.g. a residual
+    transformer) and `length`, an estimator of lengths. `meta["text"]` = {"encoder": name, "path": ...} says how the
+    text encoder is made again; `save` needs it.
     """
 
     def __init__(
         self,
-        tokenizer: nn.Module,
-        generator: nn.Module,
+        tokenizer: MotionTokenizer,
+        generator: Generator,
         text_encoder: FrozenTextEncoder,
-        length_estimator: nn.Module | None = None,
+        parts: Mapping[str, LatentModel] | None = None,
         meta: dict[str, Any] | None = None,
     ) -> None:
         check_pair(tokenizer, generator)
         self.tokenizer = tokenizer
         self.generator = generator
         self.text_encoder = text_encoder
-        self.length_estimator = length_estimator
+        self.parts = dict(parts or {})
         self.meta = dict(meta or {})
+        for name, part in self.parts.items():
+            if name != LENGTH:
+                generator.attach(name, part)
+        check_pair(tokenizer, generator)
 
     @property
     def skeleton(self) -> Skeleton:
@@ -63,15 +70,49 @@ class TextToMotion:
     @property
     def max_frames(self) -> int:
         """The longest motion that training knew (196 frames: whole latents below the skeleton's limit)."""
-        unit = self.tokenizer.downsample
-        latents = (self.skeleton.max_frames - 1) // unit
-        return min(latents, getattr(self.generator, "max_latents", latents)) * unit
+        space, longest = self.generator.space, self.skeleton.max_frames - 1
+        if space.unit is None:
+            return longest
+        return space.frames_of(min(space.latents_of(longest), space.most, self.tokenizer.space.most))
+
+    @property
+    def knows_lengths(self) -> bool:
+        """Whether a motion without a length can be asked for: the generator ends it, or an estimator says when."""
+        return self.generator.predicts_length or LENGTH in self.parts
 
     def to(self, device: torch.device | str) -> TextToMotion:
         """Move the weights; text features follow them."""
         for module in self._modules():
             module.to(best_device(device))
         return self
+
+    def eval(self) -> TextToMotion:
+        """Put all parts into inference mode."""
+        for module in self._modules():
+            module.eval()
+        return self
+
+    def sample(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None = None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: Any | None = None,
+    ) -> MotionBatch:
+        """Generate de-normalised motion: tensors in, tensors out; what users get and what the tables score.
+
+        `frames` may be any number: the last latent is cut. None takes the lengths of `known`, or leaves them to the
+        generator or the length estimator. `sampling` replaces the generator's own.
+        """
+        if frames is None and known is None and not self.generator.predicts_length:
+            frames = self._estimated(text, seeds)
+        asked = None if frames is None else self.generator.space.whole(frames).to(self.device)
+        latents = self.generator.sample(text.to(self.device), asked, seeds=seeds, known=known, sampling=sampling)
+        if frames is not None:
+            latents = replace(latents, frames=frames.to(self.device))
+        return self.tokenizer.decode(latents)
 
     def generate(
         self,
@@ -97,13 +138,10 @@ class TextToMotion:
         motions = []
         with self._inference():
             for part in batches(len(texts), batch_size):
-                text = self.text_encoder(texts[part]).to(self.device)
-                drawn = torch.tensor(seeds[part])
-                wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts[part])
-                asked = None if wanted is None else self._whole(wanted)
-                latents = self.generator.sample(text, asked, seeds=drawn, sampling=options)
-                decoded = self._decode(latents, latents.frames if wanted is None else wanted)
-                motions += self._motions(decoded, texts[part], seeds[part])
+                wanted = None if counts is None else torch.tensor(counts[part])
+                text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
+                batch = self.sample(text, wanted, seeds=drawn, sampling=options)
+                motions += self._motions(batch, texts[part], seeds[part])
         return motions
 
     def chain(
@@ -123,7 +161,8 @@ class TextToMotion:
         decoded at once. The motion may be longer than any clip of the training.
         """
         texts = check_texts(list(texts))
-        options = self._sampling(sampling)
+        options, space = self._sampling(sampling), self.generator.space
+        most = self.max_frames // space.in_time("joining motions")
         # A transition draws its own numbers, not those of the part before it.
         seeds = sample_seeds(seed, 2 * len(texts) - 1)
         seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
@@ -131,13 +170,13 @@ class TextToMotion:
         with self._inference():
             text, drawn = self.text_encoder(texts).to(self.device), torch.tensor(seeds)
             wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts)
-            asked = None if wanted is None else self._whole(wanted)
+            asked = None if wanted is None else space.whole(wanted).to(self.device)
             parts = self.generator.sample(text, asked, seeds=drawn, sampling=options)
             if len(texts) > 1:
-                known = bridges(parts, transition, self.max_frames // self.tokenizer.downsample)
+                known = bridges(parts, space, transition, most)
                 first = self.text_encoder(texts[:-1]).to(self.device)
                 bridged = self.generator.sample(first, None, seeds=between, known=known, sampling=options)
-                parts = join(parts, bridged, ~known.mask & known.latents.mask)
+                parts = join(parts, space, bridged, ~known.mask & known.latents.mask)
             (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]])
         return motion
 
@@ -172,36 +211,21 @@ class TextToMotion:
     def _edit_batch(
         self, motions: list[Motion], texts: list[str], ranges: list, seeds: list[int], options: Any, paste: bool
     ) -> MotionBatch:
-        unit = self.tokenizer.downsample
-        source, counts, filled = stack_sources(motions, self.tokenizer.representation.width, unit)
+        space = self.tokenizer.space
+        source, counts, filled = stack_sources(motions, self.tokenizer.representation.width, space)
         regenerate = edited_frames(ranges, source.shape[1])
         source, regenerate = source.to(self.device), regenerate.to(self.device)
         whole = MotionBatch(source, filled.to(self.device))
-        latents = self.generator.sample(
-            self.text_encoder(texts).to(self.device),
-            whole.lengths,
-            seeds=torch.tensor(seeds),
-            known=encode_kept(self.tokenizer, whole, kept_latents(regenerate, unit)),
-            sampling=options,
-        )
-        result = self._decode(latents, counts)
-        if paste:
-            keep = (result.mask & ~regenerate)[..., None]
-            result.features = torch.where(keep, source, result.features)
-        return result
-
-    def _decode(self, latents: Latents, frames: Tensor) -> MotionBatch:
-        return self.tokenizer.decode(replace(latents, frames=frames.to(self.device)))
+        known = encode_kept(self.tokenizer, whole, kept_latents(regenerate, space))
+        text = self.text_encoder(texts)
+        result = self.sample(text, counts, seeds=torch.tensor(seeds), known=known, sampling=options)
+        return paste_rows(result, source, ~regenerate) if paste else result
 
     def _motions(self, batch: MotionBatch, texts: list[str], seeds: list[int]) -> list[Motion]:
         joints = recover_joints(batch.features, self.skeleton).cpu().numpy()
         rows = zip(batch.features.cpu().numpy(), joints, batch.lengths.tolist(), texts, seeds, strict=True)
         name, fps = self.skeleton.name, self.skeleton.fps
         return [Motion(j[:n].copy(), f[:n].copy(), text, name, fps, seed) for f, j, n, text, seed in rows]
-
-    def _whole(self, frames: Tensor) -> Tensor:
-        unit = self.tokenizer.downsample
-        return ((frames + unit - 1) // unit * unit).to(self.device)
 
     def _sampling(self, changes: dict[str, Any]) -> Any:
         allowed = [f.name for f in fields(self.generator.sampling)]
@@ -212,16 +236,19 @@ class TextToMotion:
 
     def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
         counts = frame_counts(frames, seconds, size, fps=self.skeleton.fps, maximum=self.max_frames)
-        ends_itself = getattr(self.generator, "predicts_length", False)
-        if counts is None and self.length_estimator is None and not ends_itself:
+        if counts is None and not self.knows_lengths:
             raise ValueError("no length: give frames= or seconds=, or a length estimator (length=RUN, --length RUN)")
         return counts
 
-    def _estimated(self, text: Any, seeds: Tensor) -> Tensor | None:
-        if getattr(self.generator, "predicts_length", False):
+    def _estimated(self, text: TextFeatures, seeds: Int[Tensor, " b"]) -> Int[Tensor, " b"] | None:
+        """Estimate frames; None where the generator ends its sequences itself."""
+        if self.generator.predicts_length:
             return None
+        if LENGTH not in self.parts:
+            raise ValueError("no lengths: they need a generator that ends its sequences itself or a length estimator")
         # The published estimator knows a class 0 (MARDM §6); no motion has no frames.
-        return self.length_estimator.predict(text, seeds).cpu().clamp(self.tokenizer.downsample, self.max_frames)
+        least = self.generator.space.whole(1)
+        return self.parts[LENGTH].predict(text.to(self.device), seeds).cpu().clamp(least, self.max_frames)
 
     def _check_sources(self, motions: list[Motion]) -> None:
         representation = self.tokenizer.representation
@@ -238,7 +265,7 @@ class TextToMotion:
             check_length(len(motion.features), self.max_frames, self.skeleton.fps)
 
     def _modules(self) -> list[nn.Module]:
-        return [m for m in (self.tokenizer, self.generator, self.length_estimator) if m is not None]
+        return [self.tokenizer, self.generator, *self.parts.values()]
 
     @contextmanager
     def _inference(self) -> Iterator[None]:
@@ -250,64 +277,25 @@ class TextToMotion:
 
     @classmethod
     def from_run(
-        cls,
-        path: str | Path,
-        device: torch.device | str | None = None,
-        *,
-        length: str | Path | None = None,
-        residual: str | Path | None = LINKED,
+        cls, path: str | Path, device: torch.device | str | None = None, **parts: str | Path | None
     ) -> TextToMotion:
         """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
 
-        `length` and `residual` are run folders of a length estimator and a residual transformer; without them those
-        that `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name
-        the part that is missing or unfit.
+        `parts` are run folders of what stands beside it (`length=`, `residual=`); without them those that
+        `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name the
+        part that is missing or unfit.
         """
-        folder, device = Path(path), best_device(device)
-        generator, meta = load_part(folder, device)
-        if not hasattr(generator, "sample"):
-            raise ValueError(f"{folder} holds a {type(generator).__name__}; give the run folder of a generator")
-        upstream, text = read_json(folder / "upstream.json"), read_json(folder / "text.json")
-        for file, key, names in (("upstream.json", "tokenizer", upstream), ("text.json", "encoder", text)):
-            if key not in names:
-                raise ValueError(f"{folder / file} names no {key}; train or import this run again")
-        tokenizer = load_part(folder / upstream["tokenizer"], device)[0]
-        check_representation(meta.get("representation"), tokenizer)
-        if residual == LINKED:
-            residual = folder / upstream["residual"] if "residual" in upstream else None
-        if residual is not None:
-            generator = with_residual(generator, load_part(Path(residual), device)[0])
-        where = length or (folder / upstream["length"] if "length" in upstream else None)
-        encoder = build_text_encoder(text["encoder"], text.get("path"), device)
-        if meta.get("text", encoder.identity) != encoder.identity:
-            raise ValueError(
-                f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}"
-            )
-        return cls(
-            tokenizer,
-            generator,
-            encoder,
-            load_part(Path(where), device)[0] if where else None,
-            {**meta, "text": text},
-        )
+        tokenizer, generator, encoder, loaded, meta = read_parts(Path(path), best_device(device), parts)
+        return cls(tokenizer, generator, encoder, loaded, meta)
 
     def save(self, path: str | Path) -> Path:
         """Write the weights of all parts as one portable folder, whole or not at all; `from_run` loads it anywhere."""
         path = Path(path)
         if "text" not in self.meta:
             raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
-        parts = {"": self.generator, "tokenizer": self.tokenizer, "length": self.length_estimator}
-        parts = {name: module for name, module in parts.items() if module is not None}
-        with new_folder(path) as staging:
-            for name, module in parts.items():
-                meta = {}
-                if module is self.generator:
-                    meta["text"] = self.text_encoder.identity
-                    meta["representation"] = self.tokenizer.representation.identity()
-                artifacts.save(module, _spec(module), staging / name / artifacts.WEIGHTS, **meta)
-            write_json(staging / "upstream.json", {name: name for name in parts if name})
-            write_json(staging / "text.json", self.meta["text"])
-            write_json(staging / "status.json", {"state": "done"})
+        own = {"text": self.text_encoder.identity, "representation": self.tokenizer.representation.identity()}
+        parts = {TOKENIZER: self.tokenizer, **self.parts}
+        write_parts(path, self.generator, parts, self.meta["text"], own)
         return path
 
 
@@ -322,21 +310,3 @@ def best_device(device: torch.device | str | None = None) -> torch.device:
     except (RuntimeError, AssertionError) as error:  # torch built without CUDA asserts
         reason = str(error).splitlines()[0]
         raise ValueError(f"device {str(device)!r} cannot be used here ({reason}); choose {best_device()}") from None
-
-
-def with_residual(base: nn.Module, residual: nn.Module) -> nn.Module:
-    """Let a residual transformer complete the codes of a base generator."""
-    from kinema.generators.momask.cascade import Cascade
-
-    both = Cascade(base=base, residual=residual)
-    both.spec = {"_target_": "kinema.generators.momask.Cascade", "base": _spec(base), "residual": _spec(residual)}
-    return both.to(next(base.parameters()).device).eval()
-
-
-def _spec(module: nn.Module) -> dict[str, Any]:
-    spec = getattr(module, "spec", None)
-    if spec is None:
-        raise ValueError(
-            f"this {type(module).__name__} has no spec to save with; set module.spec to what it was built from"
-        )
-    return spec

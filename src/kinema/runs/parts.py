@@ -12,19 +12,24 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
-
 from kinema.runs import weights as artifacts
 from kinema.atomic import write_text
 
 
-def load_part(folder: Path, device: torch.device | str) -> tuple[nn.Module, dict[str, Any]]:
-    """Load the module of one run folder; says so if the run is not finished."""
+GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
+"""The parts that a pipeline itself knows by name; a generator names those that it takes."""
+
+
+def load_part(folder: Path, device: torch.device | str, part: str | None = None) -> tuple[Any, dict[str, Any]]:
+    """Load the module of one run folder; says so if the run is not finished, or holds another part than `part`."""
     if not folder.is_dir():
         raise FileNotFoundError(f"no run folder at {folder}; check the path, or train or import that part first")
     if not (folder / artifacts.WEIGHTS).is_file():
         state = read_json(folder / "status.json").get("state", "unknown")
         raise FileNotFoundError(f"{folder} has no {artifacts.WEIGHTS} (its state is {state!r}); finish training it")
+    found = artifacts.read_meta(folder / artifacts.WEIGHTS).get("part")
+    if part is not None and found != part:
+        raise ValueError(f"{folder} holds a run of {found!r}; give the folder of a {part!r} run")
     return artifacts.load(folder / artifacts.WEIGHTS, device)
 
 

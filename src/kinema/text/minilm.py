@@ -18,7 +18,7 @@ MAX_TOKENS = 256
 
 
 class MiniLMTextEncoder:
-    """Encode with MiniLM: pooled is the mean over tokens, standardised per text over its dims (DESIGN §3).
+    """Encode with MiniLM: pooled is the mean over tokens, standardised per text over its dims.
 
     Standardising brings the vectors, of norm about 1 otherwise, to the scale of CLIP's. Token features are the last
     hidden states, [CLS] and [SEP] included.

@@ -1,6 +1,6 @@
 """Classify words for the T2M evaluator: part of speech, overridden by its lists of very important words (VIP).
 
-Source: T2M_EVALUATOR §1, HUMANML3D_DATA (how the published tokens were made).
+Source: T2M_EVALUATOR §1, HUMANML3D_DATA §7 (how the published tokens were made).
 """
 
 from __future__ import annotations

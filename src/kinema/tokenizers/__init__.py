@@ -1,35 +1,45 @@
-"""Turn motion into latents and back: the MotionTokenizer protocol and, one file each, what implements it."""
+"""Turn motion into latents and back: what a tokenizer owes and, one file each, what implements it."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
-from kinema.types import Latents, Losses, MotionBatch
+from kinema.types import Latents, LatentSpace, Losses, MotionBatch
 
 
-@runtime_checkable
-class MotionTokenizer(Protocol):
-    """Map motion to latents and back (an nn.Module that owns the representation it was trained on).
+class MotionTokenizer(nn.Module, ABC):
+    """Map motion to latents and back; owns the representation that it was trained on.
 
-    A tokenizer of codes also has `codebook_size`, `quantizers` (codes per position) and `code_dim`.
+    `space` says what it makes. `deterministic`: the same motion always has the same latents, so that they can be
+    cached; if not, `encode` draws from its `generator`, and without one gives the likeliest. `spec` rebuilds it.
     """
 
-    downsample: int
+    space: LatentSpace
     representation: Representation
+    deterministic: bool = True
+    spec: dict[str, Any] | None = None
 
+    @property
+    def codebook(self) -> Float[Tensor, "k d"] | None:
+        """The code vectors (of the first layer); None where latents are no codes."""
+        return None
+
+    @abstractmethod
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
         """Return the training losses, `loss` first; draws come from `generator`, for the batch that `shard` is of."""
-        ...
 
-    def encode(self, motion: MotionBatch) -> Latents:
-        """Encode full-width, de-normalised features."""
-        ...
+    @abstractmethod
+    def encode(self, motion: MotionBatch, *, generator: torch.Generator | None = None) -> Latents:
+        """Encode de-normalised features of the representation's width or more."""
 
+    @abstractmethod
     def decode(self, latents: Latents) -> MotionBatch:
         """Decode to de-normalised features of the representation's width; frames past `frames` are zero."""
-        ...

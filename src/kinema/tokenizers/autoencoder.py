@@ -5,17 +5,18 @@ from __future__ import annotations
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
-from kinema.types import Latents, Losses, MotionBatch, frame_mask
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
 ROOT = 4
 """Dims of the root: yaw velocity, velocity x and z, height; they come first in every representation."""
 
 
-class AutoEncoder(nn.Module):
+class AutoEncoder(MotionTokenizer):
     """Encode motion (b, t, d) to raw latents (b, t // 4, latent_dim) and back, without a bottleneck regulariser.
 
     `mask_padding` makes a clip's result independent of the padding of its batch: equal to the clip alone. False is
@@ -41,8 +42,8 @@ class AutoEncoder(nn.Module):
         self.representation = representation
         self.encoder = ConvEncoder(representation.width, latent_dim, **net, dropout=dropout)
         self.decoder = ConvDecoder(latent_dim, representation.width, **net, dropout=dropout)
-        self.latent_dim = latent_dim
-        self.downsample = 2**down_levels
+        unit = 2**down_levels
+        self.space = LatentSpace("continuous", latent_dim, (representation.skeleton.max_frames - 1) // unit, unit)
         self.joint_weight = joint_weight
         self.root_weight = root_weight
         self.mask_padding = mask_padding
@@ -57,9 +58,9 @@ class AutoEncoder(nn.Module):
         4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames.
         """
         target = self.representation.normalize(motion.features, motion.lengths)
-        counts = motion.lengths // self.downsample
+        counts = self.space.latents_of(motion.lengths)
         output = self._decode(self._encode(target, motion.lengths), counts)
-        real = frame_mask(counts * self.downsample, output.shape[1])
+        real = frame_mask(self.space.covered(motion.lengths), output.shape[1])
         error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
         reconstruction = mean_of_real(error, real)
         joints = mean_of_real(error[..., self.representation.groups["joints"]], real)
@@ -70,23 +71,20 @@ class AutoEncoder(nn.Module):
             loss = loss + self.root_weight * losses["root"]
         return {"loss": loss, **losses}
 
-    def encode(self, motion: MotionBatch) -> Latents:
+    def encode(self, motion: MotionBatch, *, generator: torch.Generator | None = None) -> Latents:
         """Encode a batch; a tail of fewer than four frames has no latent of its own and is dropped.
 
         Raises ValueError if the padded batch is shorter than one latent.
         """
-        if motion.features.shape[1] < self.downsample:
-            raise ValueError(
-                f"motion of {motion.features.shape[1]} frames is too short to encode; give at least {self.downsample}"
-            )
+        require_frames(motion, self.space)
         values = self._encode(self.representation.normalize(motion.features, motion.lengths), motion.lengths)
-        counts = motion.lengths // self.downsample
-        return Latents(lengths=counts, frames=counts * self.downsample, values=values)
+        lengths, frames = self.space.latents_of(motion.lengths), self.space.covered(motion.lengths)
+        return Latents(lengths=lengths, frames=frames, values=values)
 
     def decode(self, latents: Latents) -> MotionBatch:
         """Decode to de-normalised features (b, 4n, representation.width), zero past `latents.frames`."""
         normalized = self._decode(latents.values, latents.lengths)
-        frames = torch.minimum(latents.frames, latents.lengths * self.downsample)
+        frames = torch.minimum(latents.frames, self.space.frames_of(latents.lengths))
         return MotionBatch(self.representation.denormalize(normalized, frames), frames)
 
     def _encode(self, x: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, "b n c"]:
@@ -98,6 +96,13 @@ class AutoEncoder(nn.Module):
     def _padded(self, lengths: Int[Tensor, " b"], size: int) -> Int[Tensor, " b"] | None:
         """Return the lengths if something has to be masked."""
         return lengths if self.mask_padding and bool((lengths < size).any()) else None
+
+
+def require_frames(motion: MotionBatch, space: LatentSpace) -> None:
+    """Raise ValueError if the padded batch is shorter than one latent."""
+    least = space.frames_of(1)
+    if motion.features.shape[1] < least:
+        raise ValueError(f"motion of {motion.features.shape[1]} frames is too short to encode; give at least {least}")
 
 
 def mean_of_real(error: Float[Tensor, "b t d"], real: Bool[Tensor, "b t"]) -> Float[Tensor, ""]:

@@ -15,7 +15,7 @@ from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock
 
 CONTACT_CHAINS = {"humanml3d": (3, 4), "kit": (0, 1)}
-"""The chains that the foot contacts are counted to, as published: KIT's legs, but HumanML3D's arms (AttT2M, Chains)."""
+"""The chains that the foot contacts are counted to, as published: KIT's legs, HumanML3D's arms (AttT2M, Tokenizer)."""
 
 
 class BodyPartEncoder(nn.Module):

@@ -52,6 +52,10 @@ class Quantizer(Protocol):
     def codebook(self) -> Float[Tensor, "k d"]:
         """The code vectors (of the first layer)."""
 
+    @property
+    def codebooks(self) -> Float[Tensor, "q k d"]:
+        """The code vectors of all layers."""
+
     def __call__(
         self,
         z: Float[Tensor, "b n d"],
@@ -160,6 +164,11 @@ class EMACodebook(nn.Module):
             self.update(rows, chosen, draws)
             quantized.dead_codes = self._dead()
             return quantized
+
+    @property
+    def codebooks(self) -> Float[Tensor, "1 k d"]:
+        """The code vectors of the one layer."""
+        return self.codebook[None]
 
     def lookup(self, codes: Int[Tensor, "b n 1"]) -> Float[Tensor, "b n d"]:
         """Return the vectors of codes, zeros for -1; raises ValueError for an id out of range."""

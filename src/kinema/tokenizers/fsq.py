@@ -52,6 +52,11 @@ class FiniteScalarQuantizer(nn.Module):
         device = self.counts.device
         return self.fsq.indices_to_codes(torch.arange(self.codebook_size, device=device)).detach()
 
+    @property
+    def codebooks(self) -> Float[Tensor, "1 k d"]:
+        """The code vectors of the one layer."""
+        return self.codebook[None]
+
     def forward(
         self,
         z: Float[Tensor, "b n d"],

@@ -9,14 +9,15 @@ from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
-from kinema.tokenizers.autoencoder import ROOT, mean_of_real
+from kinema.tokenizers import MotionTokenizer
+from kinema.tokenizers.autoencoder import ROOT, mean_of_real, require_frames
 from kinema.tokenizers.codebook import EMACodebook, Quantizer
-from kinema.types import Latents, Losses, MotionBatch, frame_mask
+from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
 AUXILIARIES = ("joints", "velocities")
 
 
-class VQVAE(nn.Module):
+class VQVAE(MotionTokenizer):
     """Encode motion (b, t, d) to codes (b, t // 4, q) and back (COMMON §3, §4; T2M-GPT, Tokenizer).
 
     `quantizer` (kinema.tokenizers.codebook.Quantizer; default T2M-GPT's codebook) has `codebook_size` codes of
@@ -53,10 +54,9 @@ class VQVAE(nn.Module):
         self.encoder = encoder or ConvEncoder(representation.width, code_dim, **net, dropout=dropout)
         self.quantizer = quantizer
         self.decoder = ConvDecoder(code_dim, representation.width, **net, dropout=dropout)
-        self.codebook_size = codebook_size
-        self.code_dim = code_dim
-        self.quantizers = quantizer.quantizers
-        self.downsample = 2**down_levels
+        unit = 2**down_levels
+        most = (representation.skeleton.max_frames - 1) // unit
+        self.space = LatentSpace("codes", code_dim, most, unit, codebook_size, quantizer.quantizers)
         self.auxiliary = auxiliary
         self.joint_weight = joint_weight
         self.commit_weight = commit_weight
@@ -71,7 +71,7 @@ class VQVAE(nn.Module):
     @property
     def codebooks(self) -> Float[Tensor, "q k d"]:
         """The code vectors of all layers."""
-        return getattr(self.quantizer, "codebooks", self.quantizer.codebook[None])
+        return self.quantizer.codebooks
 
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
@@ -82,11 +82,11 @@ class VQVAE(nn.Module):
         Means run over real frames and positions; draws are made for the global batch, as in the protocol.
         """
         target = self.representation.normalize(motion.features, motion.lengths)
-        counts = motion.lengths // self.downsample
+        counts = self.space.latents_of(motion.lengths)
         z = self._encode(target, motion.lengths)
         quantized = self.quantizer(z, frame_mask(counts, z.shape[1]), generator, shard)
         output = self._decode(quantized.values, counts)
-        real = frame_mask(counts * self.downsample, output.shape[1])
+        real = frame_mask(self.space.covered(motion.lengths), output.shape[1])
         error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
         reconstruction = mean_of_real(error, real)
         auxiliary = mean_of_real(error[..., self.representation.groups[self.auxiliary]], real)
@@ -97,22 +97,19 @@ class VQVAE(nn.Module):
             loss = loss + self.root_weight * losses["root"]
         return {"loss": loss, **losses, "perplexity": quantized.perplexity, "dead_codes": quantized.dead_codes}
 
-    def encode(self, motion: MotionBatch) -> Latents:
+    def encode(self, motion: MotionBatch, *, generator: torch.Generator | None = None) -> Latents:
         """Encode a batch, codes 0 at padding; a tail of fewer frames than one code stands for is dropped.
 
         Raises ValueError if the padded batch is shorter than one code.
         """
-        if motion.features.shape[1] < self.downsample:
-            raise ValueError(
-                f"motion of {motion.features.shape[1]} frames is too short to encode; give at least {self.downsample}"
-            )
-        counts = motion.lengths // self.downsample
+        require_frames(motion, self.space)
+        counts = self.space.latents_of(motion.lengths)
         training = self.quantizer.training
         self.quantizer.eval()  # looking never teaches the codebook
         z = self._encode(self.representation.normalize(motion.features, motion.lengths), motion.lengths)
         codes = self.quantizer(z, frame_mask(counts, z.shape[1])).codes
         self.quantizer.train(training)
-        return Latents(lengths=counts, frames=counts * self.downsample, codes=codes)
+        return Latents(lengths=counts, frames=self.space.covered(motion.lengths), codes=codes)
 
     def decode(self, latents: Latents) -> MotionBatch:
         """Decode to de-normalised features (b, 4n, representation.width), zero past `latents.frames`.
@@ -123,7 +120,7 @@ class VQVAE(nn.Module):
             raise ValueError("this tokenizer decodes codes, not continuous values; use the tokenizer that made them")
         codes = latents.codes.masked_fill(~latents.mask[..., None], -1)
         normalized = self._decode(self.quantizer.lookup(codes), latents.lengths)
-        frames = torch.minimum(latents.frames, latents.lengths * self.downsample)
+        frames = torch.minimum(latents.frames, self.space.frames_of(latents.lengths))
         return MotionBatch(self.representation.denormalize(normalized, frames), frames)
 
     def _encode(self, x: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, "b n c"]:
@@ -145,6 +142,9 @@ def check(
         raise ValueError(
             f"auxiliary={auxiliary!r}: choose one of {', '.join(a for a in AUXILIARIES if a in representation.groups)}"
         )
-    for name, size in (("codebook_size", codebook_size), ("code_dim", code_dim)):
-        if getattr(quantizer, name) != size:
-            raise ValueError(f"{name}={size}, but the quantizer's is {getattr(quantizer, name)}; give both the same")
+    for name, size, theirs in (
+        ("codebook_size", codebook_size, quantizer.codebook_size),
+        ("code_dim", code_dim, quantizer.code_dim),
+    ):
+        if theirs != size:
+            raise ValueError(f"{name}={size}, but the quantizer's is {theirs}; give both the same")

@@ -29,23 +29,23 @@ class LatentCache:
 
     def __init__(self, folder: Path) -> None:
         meta = json.loads((folder / "meta.json").read_text())
-        self.downsample, self.dim = meta["downsample"], meta["dim"]
-        self.discrete = meta.get("discrete", False)
+        self.dim, self.discrete = meta["dim"], meta["discrete"]
         self.values = np.load(folder / "values.npy", mmap_mode="r")
         keys = np.load(folder / "keys.npy")
         self.offsets = np.load(folder / "offsets.npy")
         self.rows = {tuple(key): i for i, key in enumerate(keys.tolist())}
 
-    def __call__(self, batch: MotionBatch) -> Latents:
-        """Gather the latents of a batch of crops, zero beyond their lengths."""
+    def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
+        """Gather the latents of a batch of crops, zero beyond their lengths; nothing is drawn."""
         keys = zip(batch.entries.tolist(), batch.starts.tolist(), batch.lengths.tolist(), strict=True)
         rows = [self.rows[key] for key in keys]
-        lengths = batch.lengths // self.downsample
-        values = np.zeros((len(rows), int(lengths.max()), self.dim), np.int64 if self.discrete else np.float32)
+        counts = self.offsets[np.array(rows) + 1] - self.offsets[rows]
+        values = np.zeros((len(rows), int(counts.max()), self.dim), np.int64 if self.discrete else np.float32)
         for i, row in enumerate(rows):
             piece = self.values[self.offsets[row] : self.offsets[row + 1]]
             values[i, : len(piece)] = piece
-        found = torch.from_numpy(values).to(lengths.device)
+        device = batch.lengths.device
+        found, lengths = torch.from_numpy(values).to(device), torch.from_numpy(counts).to(device)
         return Latents(lengths=lengths, frames=batch.lengths, **{"codes" if self.discrete else "values": found})
 
     def range(self) -> tuple[torch.Tensor, torch.Tensor]:
@@ -80,7 +80,7 @@ class LatentCache:
         store = clips[0].store
         # Crops of one length go together: no padding, and a result that does not depend on the neighbours' lengths.
         order = sorted(range(len(crops)), key=lambda i: (crops[i][2], i))
-        counts = np.array([n // tokenizer.downsample for _, _, n in crops])
+        counts = np.array([tokenizer.space.latents_of(n) for _, _, n in crops])
         offsets = np.concatenate([[0], np.cumsum(counts)])
         tokenizer = tokenizer.to(device).eval()
         values = None
@@ -94,7 +94,7 @@ class LatentCache:
             )
             latents = tokenizer.encode(motion)
             discrete = latents.codes is not None
-            encoded = (latents.codes if discrete else latents.values).cpu().numpy()
+            encoded = latents.content.cpu().numpy()
             if values is None:
                 shape, kind = (int(offsets[-1]), encoded.shape[-1]), np.int32 if discrete else np.float32
                 values = np.lib.format.open_memmap(folder / "values.npy", "w+", kind, shape)
@@ -105,7 +105,6 @@ class LatentCache:
         np.save(folder / "keys.npy", np.array(crops, np.int64))
         np.save(folder / "offsets.npy", offsets.astype(np.int64))
         meta = {
-            "downsample": tokenizer.downsample,
             "dim": int(values.shape[1]),
             "discrete": values.dtype == np.int32,
             "crops": len(crops),
@@ -114,12 +113,36 @@ class LatentCache:
 
 
 class EncodeEachTime:
-    """Encode every batch anew (what the latent cache saves; kept for its benchmark and for augmented motion)."""
+    """Encode every batch anew: frames as they are, and latents that are drawn (a VAE's) or of augmented motion."""
 
-    def __init__(self, tokenizer: MotionTokenizer) -> None:
-        self.tokenizer = tokenizer.eval()
+    def __init__(self, tokenizer: MotionTokenizer, clips: list[ClipDataset] | None = None, device: str = "cpu") -> None:
+        self.tokenizer, self.clips, self.device = tokenizer.to(device).eval(), clips or [], device
 
-    def __call__(self, batch: MotionBatch) -> Latents:
-        """Encode the batch without gradients."""
-        with torch.no_grad():
-            return self.tokenizer.encode(batch)
+    @torch.no_grad()
+    def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
+        """Encode the batch without gradients; what is drawn comes from `generator`."""
+        return self.tokenizer.encode(batch.to(self.device), generator=generator)
+
+    @torch.no_grad()
+    def range(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the least and greatest value of each latent dimension over the whole clips, nothing drawn."""
+        low, high = torch.tensor(torch.inf), torch.tensor(-torch.inf)
+        for data in self.clips:
+            for entry in data.entries:
+                features = torch.from_numpy(np.array(data.store.frames_of(int(entry))))[None].to(self.device)
+                lengths = torch.tensor([features.shape[1]], device=self.device)
+                content = self.tokenizer.encode(MotionBatch(features, lengths)).content[0].cpu()
+                low, high = torch.minimum(low, content.amin(0)), torch.maximum(high, content.amax(0))
+        return low, high
+
+
+def latent_source(
+    folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str
+) -> LatentCache | EncodeEachTime:
+    """Choose where a tokenizer's latents come from: looked up if they are always the same and no frames, else made.
+
+    A cache of every crop's frames would be many times the corpus (31 GB for HumanML3D).
+    """
+    if tokenizer.space.kind == "frames" or not tokenizer.deterministic:
+        return EncodeEachTime(tokenizer, clips, device)
+    return LatentCache.ensure(folder, tokenizer, clips, device)

@@ -29,9 +29,9 @@ class Unregistered:
 
 
 class LatentSource(Protocol):
-    """Return the latents of a batch of crops (encoded, or looked up)."""
+    """Return the latents of a batch of crops (encoded, or looked up); what is drawn comes from `generator`."""
 
-    def __call__(self, batch: MotionBatch) -> Latents: ...
+    def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents: ...
 
 
 class TextSource(Protocol):
@@ -128,7 +128,7 @@ class GeneratorModule(StageModule):
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
         """Predict the latents of each motion from its caption."""
         with torch.no_grad():
-            latents = self.latents.value(batch).to(self.device)
+            latents = self.latents.value(batch, generator).to(self.device)
             text = self.text.value(batch.texts).to(self.device)
         text.clip_ids = batch.clip_ids
         return self.model_loss(latents, text, generator=generator, shard=shard)

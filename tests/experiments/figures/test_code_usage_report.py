@@ -46,14 +46,14 @@ def test_the_codes_of_a_split_are_counted(micro, runs, tmp_path):
     assert [r["dims"] for r in found] == ["redundant", "essential"]
     tokenizer = read_model(runs["essential"])[0]
     store = PackedStore.open(open_corpus(compose([*micro, "method=t2m_gpt"])))
-    counts = torch.zeros(tokenizer.codebook_size, dtype=torch.long)
+    counts = torch.zeros(tokenizer.space.codebook_size, dtype=torch.long)
     for clip in store.split_clips("val"):
         rows = torch.from_numpy(store.clip_frames(clip).copy())[None]
         codes = tokenizer.encode(MotionBatch(rows, torch.tensor([rows.shape[1]]))).codes
         counts += torch.bincount(codes.flatten(), minlength=len(counts))
     assert found[1]["layers"][0]["histogram"] == counts.sort(descending=True).values.tolist()
     assert found[1]["codes"] == counts.sum()
-    assert found[1]["used"] + found[1]["dead"] == tokenizer.codebook_size
+    assert found[1]["used"] + found[1]["dead"] == tokenizer.space.codebook_size
     assert found[1]["used"] == (counts > 0).sum()
 
 

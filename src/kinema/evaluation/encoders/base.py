@@ -67,7 +67,7 @@ class TextMotionEvaluator(nn.Module):
     def identity(self) -> str:
         """Name the evaluator by 12 hex digits over its weights, statistics, vocabulary and behaviour."""
         attached = self.__dict__["_attached"]
-        named = [type(self).__name__, self.behaviour, getattr(attached, "identity", None)]
+        named = [type(self).__name__, self.behaviour, None if attached is None else attached.identity]
         digest = hashlib.sha256(json.dumps(named, sort_keys=True).encode())
         for name, value in sorted(self.state_dict().items()):
             if name != "vocabulary_fingerprint":

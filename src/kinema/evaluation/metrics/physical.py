@@ -1,4 +1,4 @@
-"""Measure what the evaluators hardly see: skating, jitter, turns, speed (DESIGN §7, kinema.motion.physics)."""
+"""Measure what the evaluators hardly see: skating, jitter, turns, speed (kinema.motion.physics)."""
 
 from __future__ import annotations
 

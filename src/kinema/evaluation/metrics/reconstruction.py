@@ -1,4 +1,4 @@
-"""Measure how far reconstructed joints and headings are from the originals (METRICS, Definitions; DESIGN §7)."""
+"""Measure how far reconstructed joints and headings are from the originals (METRICS, Definitions)."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def measure(run: Path, split: str = "test", device: str = "cpu") -> dict[str, An
     """
     tokenizer, cfg = _read(run)
     store = PackedStore.open(open_corpus(cfg))
-    usage = CodeUsage(tokenizer.codebook_size, tokenizer.quantizers)
+    usage = CodeUsage(tokenizer.space.codebook_size, tokenizer.space.quantizers)
     usage = count(tokenizer.to(device), store, split, usage.to(device)).compute()
     names = ("perplexity", "used", "dead")
     return {
@@ -69,7 +69,7 @@ def measure(run: Path, split: str = "test", device: str = "cpu") -> dict[str, An
         "seed": cfg.seed,
         "scale": cfg.scale.name,
         "corpus": {"name": store.name, "hash": store.hash, "split": split},
-        "codebook_size": tokenizer.codebook_size,
+        "codebook_size": tokenizer.space.codebook_size,
         "codes": int(usage["histogram"][0].sum()),
         **{name: usage[name].item() for name in names},
         "layers": [
@@ -82,7 +82,7 @@ def measure(run: Path, split: str = "test", device: str = "cpu") -> dict[str, An
 @torch.no_grad()
 def count(tokenizer: MotionTokenizer, store: PackedStore, split: str, usage: CodeUsage) -> CodeUsage:
     """Add the codes of every clip of a split that is long enough for one; neighbours in a batch are of like length."""
-    clips = [int(i) for i in store.split_clips(split) if store.clips["frames"][i] >= tokenizer.downsample]
+    clips = [int(i) for i in store.split_clips(split) if store.clips["frames"][i] >= tokenizer.space.whole(1)]
     if not clips:
         raise ValueError(f"corpus {store.name!r} has no clips in its split {split!r}; choose another split")
     clips.sort(key=lambda i: (int(store.clips["frames"][i]), i))
@@ -174,7 +174,7 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
             f"{run} is no finished run of a tokenizer (its state is {state!r}); give folders of runs/tokenizer"
         )
     tokenizer, _ = read_model(run)
-    if not hasattr(tokenizer, "codebook_size"):
+    if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
     return tokenizer, OmegaConf.load(run / "config.yaml")
 

@@ -13,7 +13,8 @@ from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import choice, unmask_tokens
 from kinema.generators.bad.sampling import BadPlan, BadSampling, plan
 from kinema.generators.bad.training import BadDraws
-from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.draws import share_of
+from kinema.generators.tokens.reader import CodebookReader
 from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
 from kinema.masking import DIRECTIONS, hybrid_mask, lowest, masked_count, official_inference_mask, ranks
 from kinema.nn.embeddings import timestep_embedding
@@ -24,7 +25,7 @@ from kinema.types import Known, Latents, Losses, TextFeatures
 FREQUENCIES = 256
 
 
-class BAD(nn.Module):
+class BAD(CodebookReader):
     """Transformer over codes under a hybrid mask: bidirectional for seen tokens, causal among masked ones (BAD §2-§3).
 
     A random permutation gives every position its order; a masked position holds the mask token of its order and sees
@@ -33,9 +34,6 @@ class BAD(nn.Module):
     `max_replaced` and `low_mask_share` are training's: `BadDraws`. Lengths are frames // `downsample`, at most
     `max_latents`.
     """
-
-    quantizers = 1
-    predicts_length = False
 
     def __init__(
         self,
@@ -61,15 +59,12 @@ class BAD(nn.Module):
         downsample: int = 4,
         sampling: BadSampling | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(codebook_size=codebook_size, code_dim=code_dim, max_latents=max_latents, downsample=downsample)
         if direction not in DIRECTIONS:
             raise ValueError(f"direction {direction!r} is unknown; choose one of {', '.join(DIRECTIONS)}")
         for name, share in (("max_replaced", max_replaced), ("low_mask_share", low_mask_share)):
             if not 0 <= share <= 1:
                 raise ValueError(f"{name} is {share}; give a share in [0, 1]")
-        self.codebook_size = codebook_size
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or BadSampling()
         self.first_mask = codebook_size + 2
         self.conditions = 1 + time_token
@@ -97,15 +92,6 @@ class BAD(nn.Module):
         )
         self.count_embedding = _number_embedding(width) if time_token else None
         self.length_embedding = _number_embedding(width) if time_token else None
-
-    @property
-    def codebook(self) -> Float[Tensor, "k d"]:
-        """The tokenizer's codebook (zeros until `set_codebook`)."""
-        return self.transformer.codebook
-
-    def set_codebook(self, codebook: Float[Tensor, "k d"]) -> None:
-        """Take over the tokenizer's codebook; call it before training."""
-        self.transformer.set_codebook(codebook)
 
     def forward(
         self,
@@ -149,7 +135,7 @@ class BAD(nn.Module):
         `shard` = (rank, world); in eval mode no code is replaced. Dropout is torch's own. `draws` replaces them all
         (tests).
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
+        codes = self.codes(latents)
         real = latents.mask
         draws = draws or self._draw(codes, generator, shard)
         masked = lowest(draws.candidates, real, masked_count(latents.lengths, draws.ratio))
@@ -173,8 +159,8 @@ class BAD(nn.Module):
         padding is 0. `draws` replaces what the seeds draw (tests).
         """
         steps = self.trajectory(text, frames, seeds=seeds, known=known, sampling=sampling, draws=draws)
-        *_, (_, _, latents) = steps
-        return latents
+        *_, (_, _, base) = steps
+        return self.completed(base, text, seeds=seeds, known=known, sampling=sampling)
 
     def trajectory(
         self,
@@ -188,17 +174,7 @@ class BAD(nn.Module):
     ) -> Iterator[tuple[Bool[Tensor, "b n"], Bool[Tensor, "b m m"], Latents]]:
         """Yield what was masked, who saw whom and the codes after it, of every step of `sample`."""
         sampling, draws = sampling or self.sampling, draws or SeededDraws(seeds)
-        device = self.codebook.device
-        request = token_request(
-            text,
-            frames,
-            seeds,
-            known,
-            codebook_size=self.codebook_size,
-            downsample=self.downsample,
-            max_latents=self.max_latents,
-            device=device,
-        )
+        device, request = self.codebook.device, self.request(text, frames, seeds, known)
         limits = {"direction": self.direction, "max_latents": self.max_latents}
         planned, text = plan(request, sampling, draws, seeds, editing=known is not None, **limits), text.to(device)
 
@@ -210,8 +186,7 @@ class BAD(nn.Module):
         choose = choice(draws, sampling.effective_temperature)
         start = request.codes[..., 0]
         for masked, codes in unmask_tokens(start, planned.free, planned.counts, predict, choose, planned.priority):
-            latents = Latents(request.lengths, request.frames, codes=codes[..., None])
-            yield masked, self.visible(planned, masked), latents
+            yield masked, self.visible(planned, masked), self.latents(codes, request.lengths)
 
     def visible(self, planned: BadPlan, masked: Bool[Tensor, "b n"]) -> Bool[Tensor, "b m m"]:
         """Return the attention mask of a step: that of training for what is masked now, or the published sampler's."""
@@ -221,14 +196,13 @@ class BAD(nn.Module):
         return hybrid_mask(orders, masked, planned.lengths, **self.rules)
 
     def _draw(self, codes: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]) -> BadDraws:
-        (rank, world), (batch, positions) = shard, codes.shape
-        draws = BadDraws.draw(
-            (batch * world, self.max_latents),
-            self.codebook_size,
-            **self.training_shares,
-            generator=generator,
-            device=codes.device,
-        ).crop(slice(rank * batch, (rank + 1) * batch), positions)
+        options = {**self.training_shares, "generator": generator, "device": codes.device}
+        draws = share_of(
+            lambda samples: BadDraws.draw((samples, self.max_latents), self.codebook_size, **options),
+            len(codes),
+            shard,
+            codes.shape[1],
+        )
         draws.keep |= not self.training
         return draws
 

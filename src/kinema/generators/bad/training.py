@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from kinema.generators.draws import StepDraws
+
 
 @dataclass
-class BadDraws:
+class BadDraws(StepDraws):
     """Hold what a training step draws, over all `n` positions whether they are real or not.
 
     `keep` is False where a code is replaced by `replacement`; the `ratio` of positions that are lowest in `candidates`
@@ -51,8 +53,3 @@ class BadDraws:
             candidates=uniform(*shape),
             order=uniform(*shape),
         )
-
-    def crop(self, rows: slice, positions: int) -> BadDraws:
-        """Take the draws of some samples and of their first positions."""
-        cropped = {f.name: getattr(self, f.name)[rows] for f in fields(self)}
-        return BadDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})

@@ -10,9 +10,11 @@ from torch.nn import functional as F
 from kinema.decoding.draws import TokenDraws
 from kinema.generators.bamm.sampling import BammSampling, SlotDecoder
 from kinema.generators.bamm.training import BammDraws
-from kinema.generators.gpt.training import per_sample, targets
+from kinema.generators.draws import share_of
 from kinema.generators.tokens.encoder import TokenEncoder
-from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.tokens.generator import TokenGenerator
+from kinema.generators.tokens.residual import ResidualSampling
+from kinema.generators.tokens.targets import per_sample, targets
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
 from kinema.nn.transformer import TransformerBlock, initialize
@@ -30,14 +32,13 @@ def condition_mask(condition: Bool[Tensor, "b s"]) -> Bool[Tensor, "b m m"]:
     return condition[:, None, :] | (~condition[:, :, None] & causal)
 
 
-class BAMM(nn.Module):
+class BAMM(TokenGenerator):
     """Predict slot p of [code 1, ..., code L, END] at position p of [text, slots], some slots being conditions (BAMM).
 
     norm="post" is the published network, "pre" its alternative (`t2mgpt`). Slots hold codes, END or PAD; there is no
     mask token.
     """
 
-    quantizers = 1
     predicts_length = True
 
     def __init__(
@@ -57,12 +58,9 @@ class BAMM(nn.Module):
         downsample: int = 4,
         sampling: BammSampling | None = None,
     ) -> None:
-        super().__init__()
-        self.codebook_size = codebook_size
+        super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
         self.end, self.pad = codebook_size, codebook_size + 1
         self.condition_drop = condition_drop
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or BammSampling()
         self.token_embedding = nn.Embedding(codebook_size + 2, code_dim)
         nn.init.normal_(self.token_embedding.weight, std=0.02)
@@ -108,7 +106,7 @@ class BAMM(nn.Module):
         (rank, world): conditions always, random codes and dropped texts in training only. `draws` replaces them all
         (tests).
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
+        codes = self.codes(latents)
         wanted = targets(codes, latents.lengths, self.end, self.pad)
         draws = draws or self._draw(wanted, generator, shard)
         ids = torch.where(draws.corrupted & (wanted < self.codebook_size), draws.codes, wanted)
@@ -136,38 +134,33 @@ class BAMM(nn.Module):
         None takes its lengths. A sample depends on its own seed only. `draws` replaces what the seeds draw (tests).
         """
         sampling = sampling or self.sampling
-        open_end = frames is None and known is None
-        if open_end:
-            frames = torch.full((len(seeds),), self.max_latents * self.downsample)
-        device = self.token_embedding.weight.device
-        request = token_request(
-            text,
-            frames,
-            seeds,
-            known,
-            codebook_size=self.codebook_size,
-            downsample=self.downsample,
-            max_latents=self.max_latents,
-            device=device,
-        )
+        request = self.request(text, frames, seeds, known)
         codes, lengths = request.codes[..., 0], request.lengths
         with inference(self):
-            decoder = SlotDecoder(self, text.pooled.to(device), draws or sampling.draws(seeds), sampling)
+            decoder = SlotDecoder(self, text.pooled.to(lengths.device), draws or sampling.draws(seeds), sampling)
             if known is None:
-                codes, lengths = decoder.generate(lengths, open_end=open_end)
+                codes, lengths = decoder.generate(lengths, open_end=request.open_end)
             else:
                 guidance = 0.0 if sampling.official_inference else sampling.second_guidance
                 codes, _ = decoder.between(codes, request.keep, lengths, guidance)
-        return Latents(lengths=lengths, frames=lengths * self.downsample, codes=codes[..., None])
+        base = self.latents(codes, lengths)
+        return self.completed(base, text, seeds=seeds, known=known, sampling=sampling)
+
+    def residual_sampling(self, sampling: BammSampling) -> ResidualSampling:
+        """Return the `residual_*` options."""
+        return ResidualSampling(sampling.residual_guidance, sampling.residual_temperature, sampling.residual_top_k)
 
     def _draw(self, slots: Int[Tensor, "b s"], generator: torch.Generator | None, shard: tuple[int, int]) -> BammDraws:
-        (rank, world), batch = shard, len(slots)
-        draws = BammDraws.draw(
-            (batch * world, self.max_latents + 1),
-            codebook_size=self.codebook_size,
-            condition_drop=self.condition_drop if self.training else 0.0,
-            corrupt=self.training,
-            generator=generator,
-            device=slots.device,
+        options = {
+            "codebook_size": self.codebook_size,
+            "condition_drop": self.condition_drop if self.training else 0.0,
+            "corrupt": self.training,
+            "generator": generator,
+            "device": slots.device,
+        }
+        return share_of(
+            lambda samples: BammDraws.draw((samples, self.max_latents + 1), **options),
+            len(slots),
+            shard,
+            slots.shape[1],
         )
-        return draws.crop(slice(rank * batch, (rank + 1) * batch), slots.shape[1])

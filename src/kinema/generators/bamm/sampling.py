@@ -13,9 +13,9 @@ from torch.nn import functional as F
 
 from kinema.decoding.autoregressive import decode_left_to_right
 from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
-from kinema.generators.gpt.training import targets
-from kinema.generators.momask.model import check_draw
+from kinema.generators.tokens.choices import check_draw
 from kinema.generators.tokens.encoder import TokenEncoder
+from kinema.generators.tokens.targets import targets
 from kinema.masking import lowest, masked_count
 from kinema.nn.attention import KeyValueCache
 from kinema.types import frame_mask

@@ -8,13 +8,15 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
+from kinema.generators.draws import StepDraws
+
 CONDITIONED_BATCHES = 0.5
 LARGEST_CONDITION_RATE = 0.5
 LARGEST_CORRUPTION_RATE = 0.5
 
 
 @dataclass
-class BammDraws:
+class BammDraws(StepDraws):
     """Hold what a training step draws, over all slots whether they are a sample's or padding."""
 
     condition: Bool[Tensor, "b s"]
@@ -50,13 +52,4 @@ class BammDraws:
             corrupted=uniform(*shape) < corruption_rate,
             codes=torch.randint(codebook_size, shape, generator=generator, device=device),
             condition_drop=uniform(shape[0]) < condition_drop,
-        )
-
-    def crop(self, rows: slice, slots: int) -> BammDraws:
-        """Take the draws of some samples and of their first slots."""
-        return BammDraws(
-            condition=self.condition[rows, :slots],
-            corrupted=self.corrupted[rows, :slots],
-            codes=self.codes[rows, :slots],
-            condition_drop=self.condition_drop[rows],
         )

@@ -11,9 +11,11 @@ from torch.nn import functional as F
 
 from kinema.decoding.autoregressive import decode_left_to_right
 from kinema.decoding.draws import TokenDraws
+from kinema.generators.draws import share_of
 from kinema.generators.gpt.sampling import GptSampling
-from kinema.generators.gpt.training import GptDraws, corrupt, per_sample, targets
-from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.gpt.training import GptDraws, corrupt
+from kinema.generators.tokens.generator import TokenGenerator
+from kinema.generators.tokens.targets import per_sample, targets
 from kinema.generators.tokens.words import check_words, visible_words
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
@@ -29,7 +31,7 @@ Words = tuple[Float[Tensor, "b l w"], Bool[Tensor, "b l"]]
 """Projected word features and the mask of those that may be seen."""
 
 
-class T2MGPT(nn.Module):
+class T2MGPT(TokenGenerator):
     """Predict the next of [text, token 1, ..., token L, END] with pre-norm causal blocks (T2M-GPT; COMMON §5).
 
     `cross_layers` > 0 makes it AttT2M: before they join the sequence, the token embeddings (without positions) attend
@@ -39,7 +41,6 @@ class T2MGPT(nn.Module):
     share per batch.
     """
 
-    quantizers = 1
     predicts_length = True
 
     def __init__(
@@ -60,17 +61,14 @@ class T2MGPT(nn.Module):
         downsample: int = 4,
         sampling: GptSampling | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
         if pkeep != -1 and not 0 <= pkeep <= 1:
             raise ValueError(f"pkeep is {pkeep}; give a share in [0, 1], or -1 for a random one per batch")
         if cross_layers and token_dim is None:
             raise ValueError(f"cross_layers={cross_layers} need token_dim, the width of the text's word features")
-        self.codebook_size = codebook_size
         self.end, self.pad = codebook_size, codebook_size + 1
         self.pkeep = pkeep
         self.words = check_words(words)
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or GptSampling()
         self.token_embedding = nn.Embedding(codebook_size + 2, width)
         self.text_projection = nn.Linear(text_dim, width)
@@ -106,7 +104,7 @@ class T2MGPT(nn.Module):
         which this is the part `shard` = (rank, world); in eval mode they are as they are. Dropout is torch's own.
         `draws` replaces what is drawn (tests).
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
+        codes = self.codes(latents)
         wanted = targets(codes, latents.lengths, self.end, self.pad)
         ids = wanted[:, :-1]
         if draws is None and self.training:
@@ -137,35 +135,22 @@ class T2MGPT(nn.Module):
         replaces what the seeds draw (tests).
         """
         sampling = sampling or self.sampling
-        open_end = frames is None and known is None
-        if open_end:
-            frames = torch.full((len(seeds),), self.max_latents * self.downsample)
-        device = self.head.weight.device
-        request = token_request(
-            text,
-            frames,
-            seeds,
-            known,
-            codebook_size=self.codebook_size,
-            downsample=self.downsample,
-            max_latents=self.max_latents,
-            device=device,
-        )
-        classes = self.codebook_size + open_end
+        request = self.request(text, frames, seeds, known)
+        classes = self.codebook_size + request.open_end
         with inference(self):
-            predict = self._predictor(text.to(device), request.keep.shape[1], sampling.cache)
+            predict = self._predictor(text.to(self.head.weight.device), request.keep.shape[1], sampling.cache)
             codes, lengths = decode_left_to_right(
                 lambda step, ids: sampling.narrow(predict(step, ids)[:, :classes]),
                 request.codes[..., 0],
                 request.lengths,
                 draws or sampling.draws(seeds),
                 keep=request.keep,
-                end=self.end if open_end else None,
+                end=self.end if request.open_end else None,
             )
         codes[:, 0] = codes[:, 0].masked_fill(lengths == 0, FALLBACK)
         lengths = lengths.clamp(min=1)
-        codes = codes[:, : int(lengths.max()), None]
-        return Latents(lengths=lengths, frames=lengths * self.downsample, codes=codes)
+        base = self.latents(codes[:, : int(lengths.max())], lengths)
+        return self.completed(base, text, seeds=seeds, known=known, sampling=sampling)
 
     def _words(self, text: TextFeatures) -> Words | None:
         """Project the words, for models that read them, and say which may be seen."""
@@ -227,15 +212,15 @@ class T2MGPT(nn.Module):
         return predict
 
     def _draw(self, batch: int, generator: torch.Generator | None, shard: tuple[int, int]) -> GptDraws:
-        rank, world = shard
-        draws = GptDraws.draw(
-            (batch * world, self.max_latents),
-            codebook_size=self.codebook_size,
-            pkeep=self.pkeep,
-            generator=generator,
-            device=self.head.weight.device,
-        )
-        return draws.crop(slice(rank * batch, (rank + 1) * batch), self.max_latents)
+        device = self.head.weight.device
+
+        def draw(samples: int) -> GptDraws:
+            shape = (samples, self.max_latents)
+            return GptDraws.draw(
+                shape, codebook_size=self.codebook_size, pkeep=self.pkeep, generator=generator, device=device
+            )
+
+        return share_of(draw, batch, shard)
 
 
 def _lower(rows: int, columns: int, device: torch.device) -> Bool[Tensor, "r c"]:

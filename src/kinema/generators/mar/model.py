@@ -13,20 +13,23 @@ from kinema.decoding.unmasking import Draws, SampleDraws, UnmaskingStep, unmask
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.diffusion.guidance import guided
+from kinema.generators import Generator, TrainingLatents
+from kinema.generators.draws import share_of
+from kinema.generators.lengths import requested_lengths
 from kinema.generators.mar.sampling import MarSampling, plan, start
 from kinema.generators.mar.training import MarDraws, check_latents, corrupt, training_mask
-from kinema.generators.tokens.request import latent_lengths
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.modulation import AdaLNBlock
 from kinema.nn.ranks import mean_over_ranks
-from kinema.types import Known, Latents, Losses, TextFeatures
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
 MASK_LENGTHS = ("padded", "own")
 
 
-class MARDM(nn.Module):
+class MARDM(Generator):
     """Masked autoregressive transformer with a per-latent diffusion MLP (MARDM §4-§6).
 
     `process` is a `DDPM` or a `Flow`. The training mask counts positions of `max_latents` ("padded", as published) or
@@ -61,9 +64,7 @@ class MARDM(nn.Module):
             raise ValueError(f"mask_length {mask_length!r} is unknown; choose one of {', '.join(MASK_LENGTHS)}")
         self.condition_drop = condition_drop
         self.batch_multiplier = batch_multiplier
-        self.max_latents = max_latents
-        self.downsample = downsample
-        self.latent_dim = latent_dim
+        self.space = LatentSpace("continuous", latent_dim, max_latents, downsample)
         self.mask_length = mask_length
         self.sampling = sampling or MarSampling()
         process.resolve(self.sampling.solver, self.sampling.solver_steps)
@@ -86,6 +87,15 @@ class MARDM(nn.Module):
                 nn.init.zeros_(module.bias)
         for block in self.blocks:
             nn.init.zeros_(block.modulation[1].weight)
+
+    def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
+        """Keep the training latents' range."""
+        self.set_latent_range(*latents.range())
+
+    def check_sampling(self, sampling: MarSampling) -> None:
+        """Refuse a solver of another process too."""
+        super().check_sampling(sampling)
+        self.process.resolve(sampling.solver, sampling.solver_steps)
 
     def set_latent_range(self, minimum: Float[Tensor, " c"], maximum: Float[Tensor, " c"]) -> None:
         """Keep the training latents' range per channel, for `clip_latents`; call it before training."""
@@ -131,21 +141,11 @@ class MARDM(nn.Module):
         `shard` = (rank, world); the mean is over the masked rows of all ranks, so that ranks together equal one
         process. Dropout is torch's own. `draws` replaces them all (tests).
         """
-        check_latents(latents, len(self.mask_latent), self.max_latents)
+        check_latents(latents, self.space)
         real = latents.mask
         x1 = latents.values.detach() * real[:, :, None]
-        batch, positions, channels = x1.shape
-        if draws is None:
-            rank, world = shard
-            draws = MarDraws.draw(
-                (batch * world, self.max_latents, channels),
-                self.process,
-                repeats=self.batch_multiplier,
-                condition_drop=self.condition_drop if self.training else 0.0,
-                generator=generator,
-                device=x1.device,
-            ).crop(slice(rank * batch, (rank + 1) * batch), positions)
-        counted = latents.lengths if self.mask_length == "own" else latents.lengths.new_tensor([self.max_latents])
+        draws = draws or self._draw(x1, generator, shard)
+        counted = latents.lengths if self.mask_length == "own" else latents.lengths.new_tensor([self.space.most])
         mask = training_mask(draws, real, counted)
         pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
         z = self(corrupt(x1, mask, self.mask_latent, draws), pooled, real)
@@ -184,17 +184,10 @@ class MARDM(nn.Module):
     ) -> Iterator[tuple[UnmaskingStep | None, Latents]]:
         """Yield the latents at the start and after every unmasking step of `sample`."""
         sampling = sampling or self.sampling
-        device, channels = self.mask_latent.device, len(self.mask_latent)
-        if frames is None and known is None:
-            raise ValueError("frames is None; give the frames to generate (a LengthEstimator predicts them from text)")
-        frames = known.latents.lengths * self.downsample if frames is None else frames
-        lengths = latent_lengths(frames.to(device), self.downsample, self.max_latents)
-        if not len(lengths) == len(text.pooled) == len(seeds):
-            raise ValueError(
-                f"{len(lengths)} lengths, {len(text.pooled)} texts and {len(seeds)} seeds; give one of each per sample"
-            )
-        latents, free = start(lengths, channels, self.downsample, known)
-        draws = draws or SampleDraws(seeds, lengths, channels, device)
+        device = self.mask_latent.device
+        lengths = requested_lengths(self.space, text, frames, seeds, known, device=device)
+        latents, free = start(self.space, lengths, known)
+        draws = draws or SampleDraws(seeds, lengths, self.space.width, device)
         predict = self._predictor(text.pooled.to(device), latents.mask, draws, sampling)
         yield None, latents
         steps = plan(draws.order(), free, sampling)
@@ -228,6 +221,23 @@ class MARDM(nn.Module):
                 )
 
         return predict
+
+    def _draw(
+        self, latents: Float[Tensor, "b n c"], generator: torch.Generator | None, shard: tuple[int, int]
+    ) -> MarDraws:
+        batch, positions, channels = latents.shape
+        options = {
+            "repeats": self.batch_multiplier,
+            "condition_drop": self.condition_drop if self.training else 0.0,
+            "generator": generator,
+            "device": latents.device,
+        }
+        return share_of(
+            lambda samples: MarDraws.draw((samples, self.space.most, channels), self.process, **options),
+            batch,
+            shard,
+            positions,
+        )
 
     def _latent_range(self) -> tuple[Tensor, Tensor]:
         if not (self.latent_min.isfinite().all() and self.latent_max.isfinite().all()):

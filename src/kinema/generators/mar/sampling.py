@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kinema.decoding.unmasking import UnmaskingStep, plan_unmasking
 from kinema.masking import cosine_counts, lowest, masked_count
-from kinema.types import Known, Latents, frame_mask
+from kinema.types import Known, Latents, LatentSpace, frame_mask
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ class MarSampling:
             raise ValueError(f"sampling.edit_fraction is {self.edit_fraction}; give a share in (0, 1] or None")
 
 
-def start(lengths: Int[Tensor, " b"], width: int, downsample: int, known: Known | None) -> tuple[Latents, Tensor]:
+def start(space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None) -> tuple[Latents, Tensor]:
     """Make the latents to start from (known ones, zeros elsewhere) and the mask of the positions that are free."""
-    positions = int(lengths.max())
+    positions, width = int(lengths.max()), space.width
     real = frame_mask(lengths, positions)
     values = torch.zeros(len(lengths), positions, width, device=lengths.device)
     free = real
@@ -63,7 +63,7 @@ def start(lengths: Int[Tensor, " b"], width: int, downsample: int, known: Known 
             )
         values = torch.where(real[:, :, None], source[:, :positions].to(values), values)
         free = real & ~known.mask[:, :positions].to(real.device)
-    return Latents(lengths=lengths, frames=lengths * downsample, values=values), free
+    return Latents(lengths=lengths, frames=space.frames_of(lengths), values=values), free
 
 
 def plan(order: Float[Tensor, "b n"], free: Bool[Tensor, "b n"], sampling: MarSampling) -> list[UnmaskingStep]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
@@ -10,15 +10,16 @@ from torch import Tensor
 
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
+from kinema.generators.draws import StepDraws
 from kinema.masking import cosine_ratio, masked_count
-from kinema.types import Latents
+from kinema.types import Latents, LatentSpace
 
 NOISE_SHARE = 0.1
 MASK_SHARE = 0.88
 
 
 @dataclass
-class MarDraws:
+class MarDraws(StepDraws):
     """Hold what a training step draws, over all `n` positions whether they end up masked or not."""
 
     mask_time: Float[Tensor, " b"]
@@ -61,11 +62,6 @@ class MarDraws:
             diffusion_noise=normal(batch, positions, repeats, channels),
         )
 
-    def crop(self, rows: slice, positions: int) -> MarDraws:
-        """Take the draws of some samples and of their first positions."""
-        cropped = {f.name: getattr(self, f.name)[rows] for f in fields(self)}
-        return MarDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})
-
 
 def training_mask(draws: MarDraws, real: Bool[Tensor, "b n"], counted: Int[Tensor, " #b"]) -> Bool[Tensor, "b n"]:
     """Mask n = max(1, round(counted * cos(pi u / 2))) of the permuted positions, and of these the real ones."""
@@ -83,11 +79,11 @@ def corrupt(
     return torch.where(hidden[..., None], mask_latent.to(latents.dtype), latents)
 
 
-def check_latents(latents: Latents, channels: int, max_latents: int) -> None:
+def check_latents(latents: Latents, space: LatentSpace) -> None:
     """Raise ValueError for codes, another number of channels or too many positions."""
-    values = latents.values
+    values, channels, most = latents.values, space.width, space.most
     if values is None or values.shape[2] != channels:
         found = "codes" if values is None else f"values of {values.shape[2]} channels"
         raise ValueError(f"this generator was built for values of {channels} channels (latent_dim), not for {found}")
-    if values.shape[1] > max_latents:
-        raise ValueError(f"{values.shape[1]} latents exceed max_latents={max_latents}; raise it or crop the motions")
+    if values.shape[1] > most:
+        raise ValueError(f"{values.shape[1]} latents exceed max_latents={most}; raise it or crop the motions")

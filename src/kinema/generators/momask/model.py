@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
-from kinema.decoding.token_unmasking import Choose, choice, unmask_tokens
+from kinema.decoding.token_unmasking import unmask_tokens
+from kinema.generators.draws import StepDraws, share_of
+from kinema.generators.tokens.choices import check_draw, likely_choice
 from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
-from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.tokens.generator import TokenGenerator
+from kinema.generators.tokens.residual import ResidualSampling
 from kinema.masking import cosine_counts, cosine_ratio, masked_count
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
@@ -46,7 +48,7 @@ class MoMaskSampling:
 
 
 @dataclass
-class MoMaskDraws:
+class MoMaskDraws(StepDraws):
     """Hold what a training step draws, over all `n` positions whether they are selected or not."""
 
     mask_time: Float[Tensor, " b"]
@@ -80,21 +82,13 @@ class MoMaskDraws:
             condition_drop=uniform(shape[0]) < condition_drop,
         )
 
-    def crop(self, rows: slice, positions: int) -> MoMaskDraws:
-        """Take the draws of some samples and of their first positions."""
-        cropped = {f.name: getattr(self, f.name)[rows] for f in fields(self)}
-        return MoMaskDraws(**{k: v if v.ndim == 1 else v[:, :positions] for k, v in cropped.items()})
 
-
-class MoMask(nn.Module):
+class MoMask(TokenGenerator):
     """Masked transformer over one code per position, conditioned on the pooled text (MoMask §2).
 
     The ids after the codes are MASK and PAD; the latter is never attended to. Lengths are frames // `downsample`, at
     most `max_latents`, and the training mask counts positions of `max_latents`, padding included, as published.
     """
-
-    predicts_length = False
-    quantizers = 1
 
     def __init__(
         self,
@@ -112,12 +106,9 @@ class MoMask(nn.Module):
         downsample: int = 4,
         sampling: MoMaskSampling | None = None,
     ) -> None:
-        super().__init__()
-        self.codebook_size = codebook_size
+        super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
         self.mask_id, self.pad_id = codebook_size, codebook_size + 1
         self.condition_drop = condition_drop
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or MoMaskSampling()
         self.token_embedding = nn.Embedding(codebook_size + 2, code_dim)
         self.encoder = TokenEncoder(
@@ -153,17 +144,8 @@ class MoMask(nn.Module):
         Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
         `shard` = (rank, world); means are over the selected positions of all ranks. `draws` replaces them (tests).
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
-        batch, positions = codes.shape
-        if draws is None:
-            rank, world = shard
-            draws = MoMaskDraws.draw(
-                (batch * world, self.max_latents),
-                self.codebook_size,
-                condition_drop=self.condition_drop if self.training else 0.0,
-                generator=generator,
-                device=codes.device,
-            ).crop(slice(rank * batch, (rank + 1) * batch), positions)
+        codes = self.codes(latents)
+        draws = draws or self._draw(codes, generator, shard)
         real = latents.mask
         selected = select(draws, real, self.max_latents)
         ids = corrupt(codes, selected, self.mask_id, draws).masked_fill(~real, self.pad_id)
@@ -188,18 +170,8 @@ class MoMask(nn.Module):
         padding is 0. `draws` replaces what the seeds draw (tests).
         """
         sampling = sampling or self.sampling
-        device = self.token_embedding.weight.device
-        request = token_request(
-            text,
-            frames,
-            seeds,
-            known,
-            codebook_size=self.codebook_size,
-            downsample=self.downsample,
-            max_latents=self.max_latents,
-            device=device,
-        )
-        pooled, real, free = text.pooled.to(device), request.real, request.real & ~request.keep
+        request = self.request(text, frames, seeds, known)
+        pooled, real, free = text.pooled.to(request.keep.device), request.real, request.real & ~request.keep
 
         def predict(codes: Tensor, masked: Tensor, step: int) -> Float[Tensor, "b n k"]:
             ids = codes.masked_fill(masked, self.mask_id).masked_fill(~real, self.pad_id)
@@ -209,29 +181,24 @@ class MoMask(nn.Module):
         counts = cosine_counts(free.sum(dim=1), sampling.steps)
         with inference(self):
             *_, (_, codes) = unmask_tokens(request.codes[..., 0], free, counts, predict, choose)
-        return Latents(lengths=request.lengths, frames=request.frames, codes=codes[..., None])
+        base = self.latents(codes, request.lengths)
+        return self.completed(base, text, seeds=seeds, known=known, sampling=sampling)
 
+    def residual_sampling(self, sampling: MoMaskSampling) -> ResidualSampling:
+        """Return the `residual_*` options."""
+        return ResidualSampling(sampling.residual_guidance, sampling.residual_temperature, sampling.residual_top_k)
 
-def likely_choice(draws: TokenDraws, temperature: float, dropped: float) -> Choose:
-    """Draw among the likeliest ceil((1 - dropped) * classes) classes.
-
-    In Python floats as published, which leave 3 of 30 classes for 0.9, not 4 (COMMON §8).
-    """
-    choose = choice(draws, temperature)
-
-    def among_the_likeliest(step: int, logits: Float[Tensor, "b n k"]) -> Int[Tensor, "b n"]:
-        least = logits.topk(math.ceil((1 - dropped) * logits.shape[-1])).values[..., -1:]
-        return choose(step, logits.masked_fill(logits < least, -torch.inf))
-
-    return among_the_likeliest
-
-
-def check_draw(name: str, temperature: float, dropped: float) -> None:
-    """Raise ValueError for a negative temperature or a `top_k` that leaves no class."""
-    if temperature < 0:
-        raise ValueError(f"sampling.{name}temperature is {temperature}; give 0 (the likeliest class) or more")
-    if not 0 <= dropped < 1:
-        raise ValueError(f"sampling.{name}top_k is {dropped}; give the share of classes to leave out, in [0, 1)")
+    def _draw(
+        self, codes: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]
+    ) -> MoMaskDraws:
+        drop = self.condition_drop if self.training else 0.0
+        options = {"condition_drop": drop, "generator": generator, "device": codes.device}
+        return share_of(
+            lambda samples: MoMaskDraws.draw((samples, self.max_latents), self.codebook_size, **options),
+            len(codes),
+            shard,
+            codes.shape[1],
+        )
 
 
 def select(draws: MoMaskDraws, real: Bool[Tensor, "b n"], counted: int) -> Bool[Tensor, "b n"]:

@@ -7,17 +7,19 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as F
 
 from kinema.decoding.autoregressive import decode_left_to_right
 from kinema.decoding.draws import TokenDraws
+from kinema.generators import TrainingLatents
 from kinema.generators.gpt.sampling import GptSampling
 from kinema.generators.motiongpt.language import LanguageModel
 from kinema.generators.motiongpt.words import MINILM, PAD, Words
-from kinema.generators.tokens.request import check_codes, token_request
+from kinema.generators.tokens.generator import TokenGenerator
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, Losses, TextFeatures, frame_mask
 
 CLASSES = ("all", "motion")
@@ -32,7 +34,7 @@ class MotionGPTSampling(GptSampling):
     top_k: int | None = 50
 
 
-class MotionGPT(nn.Module):
+class MotionGPT(TokenGenerator):
     """Translate the prompt "Generate motion: CAPTION" to the string `<start> c1 ... cn <end>` (MotionGPT §2).
 
     Text-to-motion alone: the other tasks of the published instruction tuning are out of scope. The text's strings are
@@ -42,7 +44,6 @@ class MotionGPT(nn.Module):
     published ("all"), or motion tokens alone ("motion": much less work for a small model).
     """
 
-    quantizers = 1
     predicts_length = True
 
     def __init__(
@@ -66,16 +67,13 @@ class MotionGPT(nn.Module):
         downsample: int = 4,
         sampling: MotionGPTSampling | None = None,
     ) -> None:
-        super().__init__()
+        super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
         if classes not in CLASSES:
             raise ValueError(f"classes {classes!r} is unknown; choose one of {', '.join(CLASSES)}")
         if "{}" not in prompt:
             raise ValueError(f"prompt {prompt!r} has no place for the caption; put {{}} into it")
-        self.codebook_size = codebook_size
         self.weights = weights
         self.prompt = prompt
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or MotionGPTSampling()
         self.words = Words(vocabulary, words, longest_prompt)
         self.start, self.end = words + codebook_size, words + codebook_size + 1
@@ -90,6 +88,10 @@ class MotionGPT(nn.Module):
         self.language = LanguageModel(
             sizes, words=words, motion=codebook_size + MARKERS, dropout=dropout, all_classes=classes == "all"
         )
+
+    def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
+        """Load what the model starts from."""
+        self.load_pretrained()
 
     def load_pretrained(self) -> None:
         """Start from `weights` (from random ones if None), and read the vocabulary; call it before training."""
@@ -114,7 +116,7 @@ class MotionGPT(nn.Module):
 
         Nothing is drawn but dropout, which is torch's own; the mean is over the tokens of all ranks.
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents)[..., 0]
+        codes = self.codes(latents)
         ids, real = self._strings(codes, latents.lengths)
         logits = self.language.head(self(text, ids)[real])
         wanted = ids[real] - self.language.first_class
@@ -138,30 +140,18 @@ class MotionGPT(nn.Module):
         depends on its own seed only. `draws` replaces what the seeds draw (tests).
         """
         sampling = sampling or self.sampling
-        open_end = frames is None and known is None
-        if open_end:
-            frames = torch.full((len(seeds),), self.max_latents * self.downsample)
-        request = token_request(
-            text,
-            frames,
-            seeds,
-            known,
-            codebook_size=self.codebook_size,
-            downsample=self.downsample,
-            max_latents=self.max_latents,
-            device=self.language.head.weight.device,
-        )
+        request = self.request(text, frames, seeds, known)
         with inference(self):
             codes, lengths = decode_left_to_right(
-                self._predictor(text, sampling, open_end),
+                self._predictor(text, sampling, request.open_end),
                 request.codes[..., 0],
                 request.lengths,
                 draws or sampling.draws(seeds),
                 keep=request.keep,
-                end=self.codebook_size if open_end else None,
+                end=self.codebook_size if request.open_end else None,
             )
-        codes = codes[:, : int(lengths.max()), None]
-        return Latents(lengths=lengths, frames=lengths * self.downsample, codes=codes)
+        base = self.latents(codes[:, : int(lengths.max())], lengths)
+        return self.completed(base, text, seeds=seeds, known=known, sampling=sampling)
 
     def _encode(self, text: TextFeatures) -> tuple[Float[Tensor, "b l w"], Bool[Tensor, "b l"]]:
         ids, mask = self.words([self.prompt.replace("{}", x) for x in text.texts], self.language.head.weight.device)

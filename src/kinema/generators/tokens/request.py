@@ -8,17 +8,22 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from kinema.types import Known, Latents, TextFeatures, frame_mask
+from kinema.generators.lengths import requested_lengths
+from kinema.types import Known, Latents, LatentSpace, TextFeatures, frame_mask
 
 
 @dataclass(frozen=True)
 class TokenRequest:
-    """Hold a checked request for tokens: lengths, frames and what is known (`codes` are 0 where `keep` is False)."""
+    """Hold a checked request for tokens: lengths, frames and what is known (`codes` are 0 where `keep` is False).
+
+    `open_end`: no length was asked for; the lengths are the longest there are.
+    """
 
     lengths: Int[Tensor, " b"]
     frames: Int[Tensor, " b"]
     codes: Int[Tensor, "b n q"]
     keep: Bool[Tensor, "b n"]
+    open_end: bool = False
 
     @property
     def real(self) -> Bool[Tensor, "b n"]:
@@ -26,62 +31,46 @@ class TokenRequest:
         return frame_mask(self.lengths, self.keep.shape[1])
 
 
-def latent_lengths(frames: Int[Tensor, " b"], downsample: int, max_latents: int) -> Int[Tensor, " b"]:
-    """Count the whole latents in `frames`; raise ValueError for less than one or more than `max_latents`."""
-    lengths = frames // downsample
-    wrong = frames[(lengths < 1) | (lengths > max_latents)]
-    if len(wrong):
-        raise ValueError(
-            f"cannot generate {wrong[0].item()} frames; give {downsample} to {max_latents * downsample} frames "
-            f"(1 to {max_latents} latents)"
-        )
-    return lengths
+def check_codes(latents: Latents, space: LatentSpace, most: int | None = None) -> Int[Tensor, "b n q"]:
+    """Return a batch's codes of the space's layers, 0 at padding.
 
-
-def check_codes(latents: Latents, codebook_size: int, max_latents: int, quantizers: int = 1) -> Int[Tensor, "b n q"]:
-    """Return a batch's codes, 0 at padding; raise ValueError for values, ids out of range or too many positions."""
-    codes = latents.codes
-    if codes is None or codes.shape[2] < quantizers:
+    Raises ValueError for values, ids out of range or more than `most` positions (default: the space's).
+    """
+    codes, size, most = latents.codes, space.codebook_size, most or space.most
+    if codes is None or codes.shape[2] < space.quantizers:
         found = "continuous values" if codes is None else f"{codes.shape[2]} codes per position"
-        raise ValueError(f"this generator was built for {quantizers} codes per position, the tokenizer gives {found}")
-    if codes.shape[1] > max_latents:
-        raise ValueError(f"{codes.shape[1]} tokens exceed max_latents={max_latents}; raise it or crop the motions")
-    codes = codes[..., :quantizers].masked_fill(~latents.mask[..., None], 0).long()
-    wrong = codes[(codes < 0) | (codes >= codebook_size)]
+        raise ValueError(
+            f"this generator was built for {space.quantizers} codes per position, the tokenizer gives {found}"
+        )
+    if codes.shape[1] > most:
+        raise ValueError(f"{codes.shape[1]} tokens exceed max_latents={most}; raise it or crop the motions")
+    codes = codes[..., : space.quantizers].masked_fill(~latents.mask[..., None], 0).long()
+    wrong = codes[(codes < 0) | (codes >= size)]
     if len(wrong):
         raise ValueError(
-            f"token id {wrong[0].item()} is out of range; this generator's codebook_size={codebook_size} allows 0 to "
-            f"{codebook_size - 1}: use the tokenizer it was made for"
+            f"token id {wrong[0].item()} is out of range; this generator's codebook_size={size} allows 0 to "
+            f"{size - 1}: use the tokenizer it was made for"
         )
     return codes
 
 
 def token_request(
+    space: LatentSpace,
     text: TextFeatures,
     frames: Int[Tensor, " b"] | None,
     seeds: Int[Tensor, " b"],
     known: Known | None,
     *,
-    codebook_size: int,
-    downsample: int,
-    max_latents: int,
     device: torch.device,
-    quantizers: int = 1,
+    open_end: bool = False,
 ) -> TokenRequest:
     """Check a request for codes of given (or known) lengths; raise ValueError that names what doesn't fit."""
-    if frames is None and known is None:
-        raise ValueError("frames is None; give the frames to generate (a LengthEstimator predicts them from text)")
-    frames = known.latents.lengths * downsample if frames is None else frames
-    lengths = latent_lengths(frames.to(device), downsample, max_latents)
-    if not len(lengths) == len(text.pooled) == len(seeds):
-        raise ValueError(
-            f"{len(lengths)} lengths, {len(text.pooled)} texts and {len(seeds)} seeds; give one of each per sample"
-        )
+    lengths = requested_lengths(space, text, frames, seeds, known, device=device)
     size = int(lengths.max())
-    codes = torch.zeros(len(lengths), size, quantizers, dtype=torch.long, device=device)
+    codes = torch.zeros(len(lengths), size, space.quantizers, dtype=torch.long, device=device)
     keep = torch.zeros(len(lengths), size, dtype=torch.bool, device=device)
     if known is not None:
-        given = check_codes(known.latents, codebook_size, known.mask.shape[1], quantizers)
+        given = check_codes(known.latents, space, known.mask.shape[1])
         if given.shape[:2] != known.mask.shape:
             raise ValueError(
                 f"known codes are {tuple(given.shape)} with a mask {tuple(known.mask.shape)}; give one mask entry per "
@@ -94,4 +83,4 @@ def token_request(
             )
         keep = known.mask[:, :size].to(device) & frame_mask(lengths, size)
         codes = torch.where(keep[..., None], given[:, :size].to(device), codes)
-    return TokenRequest(lengths, lengths * downsample, codes, keep)
+    return TokenRequest(lengths, space.frames_of(lengths), codes, keep, open_end)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
-from kinema.generators.momask.model import check_draw, likely_choice
+from kinema.generators import LatentModel
+from kinema.generators.draws import StepDraws, share_of
+from kinema.generators.tokens.choices import check_draw, likely_choice
 from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
 from kinema.generators.tokens.request import check_codes
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
-from kinema.types import Known, Latents, Losses, TextFeatures
+from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
 STREAM = 1
 """Keeps the residual layers' draws apart from those of the base tokens."""
@@ -33,15 +34,9 @@ class ResidualSampling:
     def __post_init__(self) -> None:
         check_draw("residual_", self.temperature, self.top_k)
 
-    @classmethod
-    def of(cls, sampling: Any) -> ResidualSampling:
-        """Take the `residual_*` options of a base generator's sampling, and the defaults of those it doesn't have."""
-        given = {f.name: getattr(sampling, f"residual_{f.name}", f.default) for f in fields(cls)}
-        return cls(**given)
-
 
 @dataclass
-class ResidualDraws:
+class ResidualDraws(StepDraws):
     """Hold what a training step draws: which layer each sample learns, and who loses the text."""
 
     layer: Float[Tensor, " b"]
@@ -55,12 +50,8 @@ class ResidualDraws:
         layer, drop = torch.rand(2, samples, generator=generator, device=device)
         return cls(layer=layer, condition_drop=drop < condition_drop)
 
-    def crop(self, rows: slice) -> ResidualDraws:
-        """Take the draws of some samples."""
-        return ResidualDraws(self.layer[rows], self.condition_drop[rows])
 
-
-class ResidualTransformer(nn.Module):
+class ResidualTransformer(LatentModel):
     """Predict the codes of residual layer q from the sum of the embedded codes of all layers below (MoMask §3).
 
     With `share_weights` (as released) layer p has one table, which embeds its codes and, from layer 1 on, scores them;
@@ -91,9 +82,8 @@ class ResidualTransformer(nn.Module):
             raise ValueError(f"quantizers is {quantizers}; a residual transformer needs a tokenizer of 2 or more")
         self.codebook_size = codebook_size
         self.quantizers = quantizers
+        self.space = LatentSpace("codes", None, max_latents, downsample, codebook_size, quantizers)
         self.condition_drop = condition_drop
-        self.max_latents = max_latents
-        self.downsample = downsample
         self.sampling = sampling or ResidualSampling()
         classes, scored = codebook_size + 1, quantizers - 1
         self.tables = nn.Parameter(torch.empty(quantizers if share_weights else scored, classes, code_dim))
@@ -113,6 +103,23 @@ class ResidualTransformer(nn.Module):
         for table in (self.tables, self.score_tables):
             if table is not None:
                 nn.init.normal_(table, std=EMBEDDING_STD)
+
+    def completes(self, base: LatentSpace) -> LatentSpace:
+        """Return the codes that this makes of a base generator's; raises ValueError if it cannot complete them."""
+        if base.quantizers != 1:
+            raise ValueError(f"the base makes {base.quantizers} codes per position; give one that makes 1")
+        own = self.space
+        for option, ours, theirs in (
+            ("codebook_size", own.codebook_size, base.codebook_size),
+            ("max_latents", own.most, base.most),
+            ("downsample", own.unit, base.unit),
+        ):
+            if ours != theirs:
+                raise ValueError(
+                    f"{option} is {theirs} in the base and {ours} in the residual transformer; train both on the same "
+                    "tokenizer"
+                )
+        return replace(base, quantizers=self.quantizers)
 
     def history(self, codes: Int[Tensor, "b n q"], layer: Int[Tensor, " b"]) -> Float[Tensor, "b n d"]:
         """Sum the embedded codes of each sample's layers below `layer`."""
@@ -149,16 +156,11 @@ class ResidualTransformer(nn.Module):
         Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
         `shard` = (rank, world); means are over the positions of all ranks. `draws` replaces them (tests).
         """
-        codes = check_codes(latents, self.codebook_size, self.max_latents, self.quantizers)
-        batch = len(codes)
+        codes = check_codes(latents, self.space)
         if draws is None:
-            rank, world = shard
-            draws = ResidualDraws.draw(
-                batch * world,
-                condition_drop=self.condition_drop if self.training else 0.0,
-                generator=generator,
-                device=codes.device,
-            ).crop(slice(rank * batch, (rank + 1) * batch))
+            drop = self.condition_drop if self.training else 0.0
+            options = {"condition_drop": drop, "generator": generator, "device": codes.device}
+            draws = share_of(lambda samples: ResidualDraws.draw(samples, **options), len(codes), shard)
         layer, real = drawn_layer(draws.layer, self.quantizers), latents.mask
         pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
         logits = self(self.history(codes, layer), pooled, layer, real)[real]
@@ -184,7 +186,7 @@ class ResidualTransformer(nn.Module):
         """
         sampling = sampling or self.sampling
         device = self.tables.device
-        base, real = check_codes(latents, self.codebook_size, self.max_latents).to(device), latents.mask.to(device)
+        base, real = check_codes(latents, replace(self.space, quantizers=1)).to(device), latents.mask.to(device)
         codes = base.new_zeros(*base.shape[:2], self.quantizers)
         codes[..., 0] = base[..., 0]
         keep, given = self._kept(codes, known)
@@ -203,7 +205,7 @@ class ResidualTransformer(nn.Module):
         """Return the mask of the kept positions and the codes they have."""
         if known is None:
             return torch.zeros(codes.shape[:2], dtype=torch.bool, device=codes.device), codes
-        given = check_codes(known.latents, self.codebook_size, known.mask.shape[1], self.quantizers)
+        given = check_codes(known.latents, self.space, known.mask.shape[1])
         positions = codes.shape[1]
         return known.mask[:, :positions].to(codes.device), given[:, :positions].to(codes.device)
 

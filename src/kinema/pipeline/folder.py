@@ -1,0 +1,68 @@
+"""Read a generator's run folder with all that it is used with, and write everything as one portable folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from kinema.generators import Generator, LatentModel
+from kinema.pipeline.compatibility import check_representation
+from kinema.runs import weights as artifacts
+from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, load_part, new_folder, read_json, write_json
+from kinema.text.encoders import FrozenTextEncoder, build_text_encoder
+from kinema.tokenizers import MotionTokenizer
+
+Parts = tuple[MotionTokenizer, Generator, FrozenTextEncoder, dict[str, LatentModel], dict[str, Any]]
+"""Tokenizer, generator, text encoder, what stands beside the generator, and the weights' metadata."""
+
+
+def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Path | None]) -> Parts:
+    """Load a generator's run with the parts that it links to; `given` replaces links, None leaves a part out.
+
+    Raises FileNotFoundError or ValueError that name the part that is missing or unfit.
+    """
+    generator, meta = load_part(folder, device, GENERATOR)
+    links, text = read_json(folder / "upstream.json"), read_json(folder / "text.json")
+    for file, key, names in (("upstream.json", TOKENIZER, links), ("text.json", "encoder", text)):
+        if key not in names:
+            raise ValueError(f"{folder / file} names no {key}; train or import this run again")
+    allowed = (*generator.parts, LENGTH)
+    for name in given.keys() - set(allowed):
+        takes = ", ".join(f"{part}=" for part in allowed)
+        raise ValueError(f"{type(generator).__name__} takes no part {name!r}; it takes {takes}")
+    runs = {name: folder / link for name, link in links.items()} | given
+    tokenizer, _ = load_part(runs.pop(TOKENIZER), device, TOKENIZER)
+    check_representation(meta.get("representation"), tokenizer.representation)
+    encoder = build_text_encoder(text["encoder"], text.get("path"), device)
+    if meta.get("text", encoder.identity) != encoder.identity:
+        raise ValueError(f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}")
+    parts = {name: load_part(Path(run), device, name)[0] for name, run in runs.items() if run is not None}
+    return tokenizer, generator, encoder, parts, {**meta, "text": text}
+
+
+def write_parts(
+    path: Path,
+    generator: Generator,
+    parts: Mapping[str, MotionTokenizer | LatentModel],
+    text: dict[str, Any],
+    meta: dict[str, Any],
+) -> None:
+    """Write a generator with `meta` and its parts as one folder, whole or not at all."""
+    with new_folder(path) as staging:
+        _write(generator, staging, GENERATOR, **meta)
+        for name, module in parts.items():
+            _write(module, staging / name, name)
+        write_json(staging / "upstream.json", {name: name for name in parts})
+        write_json(staging / "text.json", text)
+        write_json(staging / "status.json", {"state": "done"})
+
+
+def _write(module: MotionTokenizer | LatentModel, folder: Path, part: str, **meta: Any) -> None:
+    if module.spec is None:
+        raise ValueError(
+            f"this {type(module).__name__} has no spec to save with; set module.spec to what it was built from"
+        )
+    artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, part=part, **meta)

@@ -1,0 +1,159 @@
+"""The contract holds what no method here needs yet: frames as latents, latents without time, latents that are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from kinema.data.datasets import ClipDataset
+from kinema.generators import Generator
+from kinema.generators.lengths import requested_lengths
+from kinema.pipeline import TextToMotion
+from kinema.tokenizers import MotionTokenizer
+from kinema.tokenizers.frames import Frames
+from kinema.training.latents import EncodeEachTime, LatentCache, latent_source
+from kinema.types import Known, Latents, LatentSpace, MotionBatch, frame_mask
+
+TEXTS = ["a person walks", "a man jumps"]
+
+
+@dataclass(frozen=True)
+class NoOptions:
+    """There is nothing to choose."""
+
+
+class Toy(Generator):
+    """Make every latent of the text's first number and the seed; keep what is known."""
+
+    sampling = NoOptions()
+
+    def __init__(self, space: LatentSpace) -> None:
+        super().__init__()
+        self.space = space
+        self.scale = nn.Parameter(torch.ones(()))
+
+    def loss(self, latents, text, *, generator=None, shard=(0, 1)):
+        return {"loss": (self.scale - latents.values[latents.mask].mean()).square()}
+
+    def sample(self, text, frames, *, seeds, known=None, sampling=None):
+        lengths = requested_lengths(self.space, text, frames, seeds, known, device=self.scale.device)
+        shape = (len(lengths), int(lengths.max()), self.space.width)
+        values = (text.pooled[:, :1, None] + 1e-3 * seeds[:, None, None]) * self.scale * torch.ones(shape)
+        if known is not None:
+            mask = known.mask if known.mask.ndim == 3 else known.mask[..., None]
+            values = torch.where(mask, known.latents.values, values)
+        values = values * frame_mask(lengths, shape[1])[..., None]
+        counted = known.latents.frames if frames is None else frames
+        return Latents(lengths, self.space.covered(counted), values=values.detach())
+
+
+class Summary(MotionTokenizer):
+    """Say all of a motion in two latents: the first normalised frame and the mean, whatever its length."""
+
+    def __init__(self, representation, *, noise: float = 0.0) -> None:
+        super().__init__()
+        self.representation, self.noise, self.deterministic = representation, noise, noise == 0
+        self.space = LatentSpace("continuous", representation.width, most=2, unit=None)
+
+    def loss(self, motion, *, generator=None, shard=(0, 1)):
+        return {"loss": self.encode(motion, generator=generator).values.square().mean()}
+
+    def encode(self, motion, *, generator=None):
+        rows = self.representation.normalize(motion.features, motion.lengths)
+        mean = rows.sum(1) / motion.lengths[:, None]
+        values = torch.stack((rows[:, 0], mean), dim=1)
+        if generator is not None:
+            values = values + self.noise * torch.randn(values.shape, generator=generator)
+        return Latents(self.space.latents_of(motion.lengths), motion.lengths, values=values)
+
+    def decode(self, latents):
+        size = int(latents.frames.max())
+        values = latents.values[:, 1:].expand(-1, size, -1)
+        return MotionBatch(self.representation.denormalize(values, latents.frames), latents.frames)
+
+
+@pytest.fixture
+def representation(workshop):
+    return workshop.tokenizer("method=mardm_sit").representation
+
+
+def held(workshop, tokenizer) -> TextToMotion:
+    return TextToMotion(tokenizer.eval(), Toy(tokenizer.space).eval(), workshop.text)
+
+
+def test_a_method_on_frames_generates_and_edits_to_the_frame(workshop, representation):
+    model = held(workshop, Frames(representation))
+    motions = model.generate(TEXTS, [37, 50], seed=3)
+    assert [len(m.features) for m in motions] == [37, 50]
+    assert model.max_frames == model.skeleton.max_frames - 1
+    edited = model.edit(motions, "someone waves", [(5, 18)], seed=4)
+    for motion, result in zip(motions, edited, strict=True):
+        kept = np.r_[0:5, 18 : len(motion.features)]
+        assert np.array_equal(result.features[kept], motion.features[kept])
+        assert (result.features[5:18] != motion.features[5:18]).any(axis=1).all()
+    assert len(model.chain(TEXTS, [37, 50], seed=1, transition=8).features) == 37 + 8 + 50
+
+
+def test_features_of_a_frame_can_be_known_one_by_one(workshop, representation):
+    """Keep the columns of the root alone, as an edit of the upper body keeps those of the legs."""
+    model, batch = held(workshop, Frames(representation)), workshop.clips()
+    latents = model.tokenizer.encode(batch)
+    mask = torch.zeros_like(latents.values, dtype=torch.bool)
+    mask[..., :4] = latents.mask[..., None]
+    made = model.sample(workshop.text(batch.texts), seeds=torch.arange(4), known=Known(latents, mask))
+    real = model.tokenizer.decode(latents).features
+    assert torch.equal(made.lengths, batch.lengths)
+    assert torch.equal(made.features[..., :4], real[..., :4])
+    assert (made.features[..., 4:][made.mask] != real[..., 4:][made.mask]).any()
+
+
+def test_latents_without_time_stand_for_any_length_and_cannot_be_edited(workshop, representation):
+    model = held(workshop, Summary(representation))
+    motions = model.generate(TEXTS, [37, 50], seed=3)
+    assert [len(m.features) for m in motions] == [37, 50]
+    for call in (
+        lambda: model.edit(motions, "someone waves", [(5, 18)]),
+        lambda: model.chain(TEXTS, [37, 50]),
+    ):
+        with pytest.raises(ValueError, match="needs latents in time, but here 2 latents stand for the whole"):
+            call()
+
+
+def test_spaces_that_differ_are_refused(workshop, representation):
+    with pytest.raises(ValueError, match="the generator is for frames as they are, the tokenizer makes continuous"):
+        TextToMotion(Summary(representation), Toy(Frames(representation).space), workshop.text)
+    other = LatentSpace("continuous", representation.width, most=5, unit=None)
+    with pytest.raises(ValueError, match="counts 5 latents a motion, the tokenizer makes 2 latents a motion"):
+        TextToMotion(Summary(representation), Toy(other), workshop.text)
+
+
+def test_a_posterior_is_sampled_anew_in_training_and_by_the_steps_draws_alone(workshop, representation, tmp_path):
+    clips, batch = [ClipDataset(workshop.store, "val")], workshop.clips()
+    source = latent_source(tmp_path / "latents", Summary(representation, noise=1.0), clips, "cpu")
+    assert isinstance(source, EncodeEachTime)
+    first, again, other = (source(batch, torch.Generator().manual_seed(s)).values for s in (1, 1, 2))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+    low, high = source.range()
+    assert low.shape == high.shape == (representation.width,)
+    assert (low < high).all()
+    assert torch.equal(source.range()[0], low)
+    assert isinstance(latent_source(tmp_path / "frames", Frames(representation), clips, "cpu"), EncodeEachTime)
+
+
+def test_latents_without_time_are_cached_like_others(workshop, representation, tmp_path):
+    clips = [ClipDataset(workshop.store, "val")]
+    cached = latent_source(tmp_path / "latents", Summary(representation), clips, "cpu")
+    assert isinstance(cached, LatentCache)
+    entry = int(clips[0].entries[0])
+    start, frames = clips[0].crops(entry)[0]
+    features = torch.from_numpy(np.array(workshop.store.frames_of(entry)[start : start + frames]))[None]
+    batch = MotionBatch(features, torch.tensor([frames]), torch.tensor([entry]), torch.tensor([start]))
+    found = cached(batch)
+    torch.testing.assert_close(found.values, Summary(representation).encode(batch).values)
+    assert found.lengths.tolist() == [2]
+    assert found.frames.tolist() == [frames]
