@@ -43,6 +43,7 @@ test: $(STAMP)  ## run the tests (ARGS="-k word", ARGS="-m 'not slow'")
 lint: $(STAMP)  ## check style and format
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
 
 docs: $(DOCS)  ## build the documentation as a site, in site/; any warning fails
 	PATH="$(abspath $(VENV))/bin:$$PATH" NO_MKDOCS_2_WARNING=1 mkdocs build

@@ -11,11 +11,13 @@ import multiprocessing
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from kinema.atomic import staging_folder
 from kinema.data.catalog import Catalog, Clip, Dropped
@@ -62,7 +64,7 @@ def prepare_store(
     if reader not in READERS:
         raise ValueError(f"unknown reader {reader!r}; choose one of {', '.join(READERS)}")
     mirror = reader != "official" if mirror is None else mirror
-    options = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
+    options: dict[str, Any] = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
     module, _, function = READERS[reader].partition(":")
     read = getattr(importlib.import_module(module), function)
     if "skeleton" in inspect.signature(read).parameters:
@@ -135,7 +137,7 @@ def _write(catalog: Catalog, writer: StoreWriter, options: dict[str, Any], proce
     try:
         for dropped in catalog.dropped:
             writer.drop(dropped)
-        for clip, made in zip(catalog, _map(convert, jobs, processes), strict=True):
+        for clip, made in zip(catalog, _convert_all(jobs, processes), strict=True):
             if isinstance(made, Dropped):
                 writer.drop(made)
                 continue
@@ -165,13 +167,13 @@ def _unmirrored(clip: Clip, taken: set[str]) -> bool:
     return not clip.mirrored and f"M{clip.name}" not in taken
 
 
-def _map(work: Callable, jobs: list, processes: int) -> Iterator:
+def _convert_all(jobs: list[tuple[Clip, str, bool]], processes: int) -> Iterator[Dropped | list[np.ndarray]]:
     """Do the jobs in order, in this process or in several."""
     if processes <= 1:
-        yield from map(work, jobs)
+        yield from map(convert, jobs)
         return
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(work, jobs, chunksize=16)
+        yield from pool.map(convert, jobs, chunksize=16)
 
 
 def _move(staging: Path, out: Path, content: str) -> None:

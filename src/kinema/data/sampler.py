@@ -36,7 +36,7 @@ class StepSampler:
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
         per_epoch, share = self.size // self.batch_size, self.batch_size // self.world
-        current, order = None, None
+        current, order = -1, np.arange(0)
         for step in range(self.start_step, self.steps):
             epoch, position = divmod(step, per_epoch)
             if epoch != current:

@@ -12,7 +12,7 @@ from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Catalog, Clip
 from kinema.data.synthetic import gestures, jumps, locomotion, postures  # noqa: F401 (they register their actions)
 from kinema.data.synthetic.bodies import Body, pose, rotation
-from kinema.data.synthetic.plan import ACTIONS, Action, Plan
+from kinema.data.synthetic.plan import ACTIONS, LONGEST, Action, Plan
 from kinema.data.synthetic.styles import STYLES, apply, enliven
 from kinema.data.synthetic.tracks import Tracks
 from kinema.data.synthetic.wording import tell
@@ -46,9 +46,7 @@ def perform(seed: int, index: int, fps: float, *, tags: bool = True) -> Performa
     sequence = bool(rng.random() < SEQUENCES)
     chosen = _pick(rng, 2 if sequence else 1)
     plans = [
-        Plan(
-            rng, fps, STYLES[style].tempo, STYLES[style].size, closed=sequence, **({"longest": 4.8} if sequence else {})
-        )
+        Plan(rng, fps, STYLES[style].tempo, STYLES[style].size, closed=sequence, longest=4.8 if sequence else LONGEST)
         for _ in chosen
     ]
     played = [play(a, plan, style, mirrored) for a, plan in zip(chosen, plans, strict=True)]

@@ -25,7 +25,8 @@ def format_caption(annotated: AnnotatedCaption) -> str:
 
 def write_joints_folder(clips: Iterable[Clip], path: str | Path) -> Path:
     """Write clips of joints as `joints/`, `texts/`, split files and `manifest.json` (the clips' fields)."""
-    names, rows = {split: [] for split in SPLITS}, []
+    names: dict[str, list[str]] = {split: [] for split in SPLITS}
+    rows = []
     with new_folder(path) as root:
         for clip in clips:
             joints = _loader(clip)()
@@ -39,7 +40,8 @@ def write_joints_folder(clips: Iterable[Clip], path: str | Path) -> Path:
 
 def write_official_folder(clips: Iterable[Clip], path: str | Path, skeleton: str = "humanml3d") -> Path:
     """Write clips of joints as HumanML3D and KIT-ML are laid out, mirrored clips (`MNAME`) and statistics included."""
-    names, kind, rows = {split: [] for split in SPLITS}, get_skeleton(skeleton), []
+    names: dict[str, list[str]] = {split: [] for split in SPLITS}
+    kind, rows = get_skeleton(skeleton), []
     target = None if kind.bone_lengths is None else "skeleton"
     with new_folder(path) as root:
         for clip in clips:

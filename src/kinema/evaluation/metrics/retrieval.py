@@ -21,6 +21,9 @@ class Retrieval(Metric):
     """
 
     is_differentiable, full_state_update = False, False
+    hits: Int[Tensor, " k"]
+    distance: Tensor
+    count: Tensor
 
     def __init__(self, pool: int = 32, leftover: str = "drop", **kwargs: object) -> None:
         super().__init__(**kwargs)
