@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import string
 import subprocess
 import sys
@@ -13,6 +14,23 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import settings
+from jaxtyping import install_import_hook
+
+# Shapes and types are checked in this process, in what is imported after this. NumPy's numbers serve as numbers, an int
+# as a float (PEP 484); `Self` is mypy's to check, since jaxtyping decorates methods one by one.
+CHECKER = (
+    "beartype.beartype(conf=beartype.BeartypeConf(hint_overrides=beartype.FrozenDict({"
+    "int: int | __import__('numpy').integer, float: float | int | __import__('numpy').number, "
+    "__import__('typing').Self: object})))"
+)
+CHECKED = ("types", "atomic", "masking", "nn", "motion", "data", "diffusion", "decoding")
+CHECKED += ("evaluation.metrics", "evaluation.encoders", "training.recipe")
+install_import_hook([f"kinema.{name}" for name in CHECKED], CHECKER)
+
+# Nothing depends on chance, on time or on what a run before found.
+settings.register_profile("repeatable", derandomize=True, deadline=None, database=None, max_examples=50)
+settings.load_profile("repeatable")
 
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = ROOT / "tests" / "golden"
@@ -40,6 +58,13 @@ MICRO = [
 ]
 for stage in ("tokenizer", "generator", "evaluator.matching"):
     MICRO += [f"{stage}.train.validate_every=8", f"{stage}.train.checkpoint_every=5", f"{stage}.train.val_batches=1"]
+
+
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    """Seed what beartype draws: of a container it checks one item, chosen by `random`."""
+    random.seed(0)
+
 
 Script = Callable[..., subprocess.CompletedProcess]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 import torch
@@ -22,16 +22,17 @@ class Caption:
     tokens: tuple[str, ...] = ()
 
 
+@dataclass
 class _Movable:
     """Move every tensor field (also of nested values) to a device."""
 
-    def to(self, device: torch.device | str, non_blocking: bool = False) -> Any:
-        moved = {}
-        for f in fields(self):  # type: ignore[arg-type]
+    def to(self, device: torch.device | str, non_blocking: bool = False) -> Self:
+        moved: dict[str, Any] = {}
+        for f in fields(self):
             value = getattr(self, f.name)
             if isinstance(value, Tensor | _Movable):
                 moved[f.name] = value.to(device, non_blocking=non_blocking)
-        return replace(self, **moved)  # type: ignore[type-var]
+        return replace(self, **moved)
 
 
 @dataclass
@@ -80,7 +81,10 @@ class Latents(_Movable):
     @property
     def content(self) -> Float[Tensor, "b n c"] | Int[Tensor, "b n q"]:
         """The values or the codes, whichever there are."""
-        return self.values if self.codes is None else self.codes
+        held = self.values if self.codes is None else self.codes
+        if held is None:
+            raise ValueError("these latents hold neither values nor codes; give one of them")
+        return held
 
     def with_content(self, content: Float[Tensor, "b n c"] | Int[Tensor, "b n q"]) -> Latents:
         """Return the same lengths with other values or codes."""

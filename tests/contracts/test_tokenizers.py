@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from kinema.experiments.config import CONF
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.tokenizers import MotionTokenizer
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))
@@ -63,8 +63,8 @@ def test_it_decodes_what_it_encodes_and_padding_changes_nothing(workshop, name):
 @pytest.mark.parametrize("name", TOKENIZERS)
 def test_it_comes_back_from_a_file(workshop, name, tmp_path):
     model = parts(workshop, name)
-    path = artifacts.save(model, model.spec, tmp_path / "weights.safetensors")
-    loaded, _ = artifacts.load(path)
+    path = weights.save(model, model.spec, tmp_path / "weights.safetensors")
+    loaded, _ = weights.load(path)
     batch = workshop.clips()
     ours, theirs = (m.decode(m.encode(batch)).features for m in (model, loaded))
     assert torch.equal(ours, theirs)

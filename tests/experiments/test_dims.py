@@ -17,7 +17,7 @@ from kinema.experiments.run import run_stage
 from kinema.experiments.scoring import Scorer
 from kinema.experiments.stages import get_stage, needs_of, stages
 from kinema.motion.skeleton import DIMS
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.training.modules import StageModule
 
 WIDTHS = {"essential": 67, "redundant": 263}
@@ -57,7 +57,7 @@ def test_a_stage_is_served_what_it_reads_and_learns_what_it_would_from_all(name,
     run = run_stage(cfg, name)
     # Companions are made on the way: the stage's own two steps come last.
     assert served[-2:] == [WIDTHS[stage.dims(cfg)]] * 2
-    module, meta = artifacts.load(run.weights)
+    module, meta = weights.load(run.weights)
     if "representation" in meta:
         assert meta["representation"]["kind"] == dims
     elif name != "length":  # which reads no column

@@ -4,8 +4,8 @@
 """
 
 from kinema.data.captions import AnnotatedCaption, parse_captions, parse_line, swap_sides
-from kinema.data.catalog import Catalog, Clip, Dropped, read_joints_folder, read_official
-from kinema.data.store import SPLITS, PackedStore
+from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped, read_joints_folder, read_official
+from kinema.data.store import PackedStore
 
 __all__ = [
     "SPLITS",

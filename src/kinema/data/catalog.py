@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -174,6 +174,6 @@ def _read_fields(file: Path) -> dict[str, dict[str, str]]:
     """Read a corpus' own list of clips: what it says of each beside name, length and split."""
     if not file.is_file():
         return {}
-    rows: Iterable[dict] = json.loads(file.read_text(encoding="utf-8"))
+    rows: Iterable[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
     passed = ("name", "frames", "split")
     return {row["name"]: {k: str(v) for k, v in row.items() if k not in passed} for row in rows}

@@ -22,6 +22,7 @@ def convert(job: tuple[Clip, str, bool]) -> Dropped | list[np.ndarray]:
     clip, name, mirror = job
     skeleton = get_skeleton(name)
     load = clip.features or clip.joints
+    assert load is not None  # a clip has one of the two
     try:
         array = load()
     except (OSError, ValueError) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -12,13 +12,13 @@ import numpy as np
 from torch.utils.data import DataLoader
 
 from kinema.data.collate import collate
-from kinema.data.datasets import ClipDataset, WindowDataset
-from kinema.data.sampler import StepSampler, item_seed
+from kinema.data.datasets import ClipDataset, Item, WindowDataset
+from kinema.data.sampler import LEFTOVERS, StepSampler
 from kinema.data.store import PackedStore
+from kinema.seeds import item_seed, stream
 from kinema.types import MotionBatch
 
 KINDS = ("windows", "clips")
-LEFTOVERS = ("drop", "keep", "mld")
 VALIDATION_SEED = 0
 """Not the run's seed: runs are compared on the same crops and captions."""
 
@@ -39,7 +39,7 @@ class MotionDataModule(L.LightningDataModule):
         self,
         store: str | Path,
         *,
-        kind: Literal["windows", "clips"],
+        kind: str,
         batch_size: int,
         steps: int,
         window: int = 64,
@@ -75,7 +75,7 @@ class MotionDataModule(L.LightningDataModule):
         if stage in (None, "fit"):
             self.dataset("train")
 
-    def train_dataloader(self) -> DataLoader:
+    def train_dataloader(self) -> DataLoader[Item]:
         """Return the training batches from the trainer's current step on."""
         dataset, rank, world, start = self.dataset("train"), 0, 1, 0
         if self.trainer is not None:
@@ -85,7 +85,7 @@ class MotionDataModule(L.LightningDataModule):
         sampler = StepSampler(len(dataset), self.batch_size, self.seed, self.steps, start, rank, world)
         return self._loader(dataset, sampler)
 
-    def val_dataloader(self) -> DataLoader:
+    def val_dataloader(self) -> DataLoader[Item]:
         """Return the validation batches: the same items, crops and captions every time.
 
         Every rank validates all of them, so that the loss which selects weights does not depend on the number of ranks
@@ -106,7 +106,7 @@ class MotionDataModule(L.LightningDataModule):
         replication: int,
         seed: int,
         batch_size: int = 32,
-        leftover: Literal["drop", "keep", "mld"] = "drop",
+        leftover: str = "drop",
     ) -> Iterator[MotionBatch]:
         """Yield one replication of the test protocol: entries shuffled, one caption and one crop each.
 
@@ -121,13 +121,15 @@ class MotionDataModule(L.LightningDataModule):
                 f"split {split!r} of {self.store.name!r} has {len(dataset)} entries, fewer than one batch of "
                 f"{batch_size}; pass leftover='keep'"
             )
-        order = np.random.default_rng([seed, replication]).permutation(len(dataset)).tolist()
+        order = stream(seed, replication).permutation(len(dataset)).tolist()
         stop = len(order) - len(order) % batch_size if leftover == "drop" else len(order)
         for first in range(0, stop, batch_size):
             chosen = order[first : min(first + batch_size, stop)]
             yield collate([dataset[index, item_seed(seed, replication, index)] for index in chosen])
 
-    def _loader(self, dataset: WindowDataset | ClipDataset, batches: StepSampler | list) -> DataLoader:
+    def _loader(
+        self, dataset: WindowDataset | ClipDataset, batches: Iterable[list[tuple[int, int]]]
+    ) -> DataLoader[Item]:
         context = self.start_method if self.num_workers else None
         return DataLoader(
             dataset,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from torch.utils.data import Dataset
 
 from kinema.data.store import PackedStore
 from kinema.types import Caption
@@ -22,7 +23,7 @@ class Item:
     caption: Caption | None = None
 
 
-class WindowDataset:
+class WindowDataset(Dataset[Item]):
     """Serve every window of every clip of a split, for tokenizers (MARDM §2).
 
     An item's `entry` is a row of `store.clips`. `legacy` reproduces the published item space: a clip's last start is
@@ -69,7 +70,7 @@ class WindowDataset:
         return Item(features, clip, start, self.store.clip_name(clip))
 
 
-class ClipDataset:
+class ClipDataset(Dataset[Item]):
     """Serve a crop and a caption of every entry of a split, for generators, evaluators and the test protocol.
 
     The crop's length is a multiple of `unit`: with probability 2/3 the greatest, with 1/3 one unit less; its start and

@@ -31,8 +31,8 @@ class StoreWriter:
     def __init__(self, folder: Path, name: str, skeleton: Skeleton, tag_fps: float) -> None:
         self.folder, self.name, self.skeleton, self.tag_fps = folder, name, skeleton, tag_fps
         self.frames = 0
-        self._clips: list[tuple] = []
-        self._entries: list[tuple] = []
+        self._clips: list[tuple[int, int, int, bool, int]] = []
+        self._entries: list[tuple[int, int, int, bool, int, int, int, int]] = []
         self._captions: list[tuple[int, int]] = []
         self._strings: dict[str, int] = {}
         self._fields: list[dict[str, str]] = []
@@ -52,8 +52,8 @@ class StoreWriter:
     def add(self, clip: Clip, features: np.ndarray) -> None:
         """Append a clip's full-width features, and its entries: itself, and its time-tagged parts."""
         rows = np.ascontiguousarray(features, dtype="<f4")
-        self._file.write(rows)
-        self._features_hash.update(rows)
+        self._file.write(rows.data)
+        self._features_hash.update(rows.data)
         split = SPLITS.index(clip.split)
         self._clips.append((self.frames, len(rows), split, clip.mirrored, self._intern(clip.name)))
         self._fields.append(clip.fields)
@@ -145,7 +145,7 @@ class StoreWriter:
         }
         for name, table in tables.items():
             np.save(self.folder / f"{name}.npy", table)
-            self._index_hash.update(table)
+            self._index_hash.update(table.tobytes())
         blob = b"".join(encoded)
         (self.folder / "strings.utf8").write_bytes(blob)
         self._index_hash.update(blob)

@@ -4,22 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
+from kinema.seeds import item_seed, stream
 
-_MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
-_GOLDEN = 0x9E3779B97F4A7C15
-_MASK = (1 << 64) - 1
-
-
-def item_seed(seed: int, epoch: int, index: int) -> int:
-    """Hash seed, epoch and item to 64 bits, the seed of that item's own draws (SplitMix64, chained)."""
-    state = 0
-    for value in (seed, epoch, index):
-        state = (state + value + _GOLDEN) & _MASK
-        for shift, factor in zip((30, 27), _MIX, strict=True):
-            state = ((state ^ (state >> shift)) * factor) & _MASK
-        state ^= state >> 31
-    return state
+LEFTOVERS = ("drop", "keep", "mld")
+"""What becomes of a split's rows beyond whole batches: they are left out, form a smaller batch, or (MLD) form one that
+counts for all metrics but R-precision and matching."""
 
 
 class StepSampler:
@@ -47,11 +36,11 @@ class StepSampler:
 
     def __iter__(self) -> Iterator[list[tuple[int, int]]]:
         per_epoch, share = self.size // self.batch_size, self.batch_size // self.world
-        current, order = None, None
+        current, order = -1, np.arange(0)
         for step in range(self.start_step, self.steps):
             epoch, position = divmod(step, per_epoch)
             if epoch != current:
-                current, order = epoch, np.random.default_rng([self.seed, epoch]).permutation(self.size)
+                current, order = epoch, stream(self.seed, epoch).permutation(self.size)
             first = position * self.batch_size + self.rank * share
             chosen = order[first : first + share].tolist()
             yield [(index, item_seed(self.seed, epoch, index)) for index in chosen]

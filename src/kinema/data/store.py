@@ -138,7 +138,7 @@ class PackedStore:
         return self._field_values[field][self._field_codes[clip, self.fields.index(field)]]
 
     @cached_property
-    def dropped(self) -> list[dict[str, str]]:
+    def dropped(self) -> list[dict[str, Any]]:
         """List what was left out: name, split, what (missing, clip, entry, caption), reason."""
         return json.loads((self.path / "dropped.json").read_text(encoding="utf-8"))
 
@@ -146,11 +146,8 @@ class PackedStore:
         """Name the files whose checksum is no longer the manifest's (reads everything)."""
         return [name for name, wanted in self.manifest["checksums"].items() if checksum(self.path / name) != wanted]
 
-    def __getstate__(self) -> Path:
-        return self.path
-
-    def __setstate__(self, path: Path) -> None:
-        self.__init__(path)
+    def __reduce__(self) -> tuple[type[PackedStore], tuple[Path]]:
+        return PackedStore, (self.path,)
 
     def __repr__(self) -> str:
         return f"PackedStore({self.name!r}, {self.num_clips} clips, {self.num_entries} entries, hash {self.hash})"

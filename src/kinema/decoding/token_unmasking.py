@@ -47,7 +47,7 @@ def unmask_tokens(
     """
     masked, scores = free, None if order is None else -order.to(codes.device)
     for step, count in enumerate(counts):
-        masked = lowest(scores, masked, count) if step else free
+        masked = free if scores is None or step == 0 else lowest(scores, masked, count)
         logits = predict(codes, masked, step)
         chosen = choose(step, logits)
         codes = torch.where(masked, chosen, codes)

@@ -91,6 +91,7 @@ def unmask(
     """Walk through the plan: mask, let `predict(step, latents, (rows, positions))` sample, write; yield each state."""
     for step in plan:
         latents = torch.where(step.masked[:, :, None].to(latents.device), mask_latent, latents)
-        where = tuple(index.to(latents.device) for index in step.sampled.nonzero(as_tuple=True))
+        rows, positions = (index.to(latents.device) for index in step.sampled.nonzero(as_tuple=True))
+        where = (rows, positions)
         latents[where] = predict(step, latents, where).to(latents.dtype)
         yield step, latents

@@ -21,6 +21,9 @@ class DDPM(nn.Module):
     Solvers: "ancestral" (default) and "ddim" (without noise), over all steps or fewer (see `spaced_timesteps`).
     """
 
+    signal: Float[Tensor, " t"]
+    noise: Float[Tensor, " t"]
+
     def __init__(
         self,
         steps: int = 50,

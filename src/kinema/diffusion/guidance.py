@@ -24,6 +24,8 @@ def guided(
     """
     if scale == 1:
         return lambda x, t: predict(x, t, condition)
+    if empty is None:
+        raise ValueError(f"guidance of scale {scale} needs an empty condition; give one, or take scale 1")
     both = torch.cat((condition, empty))
 
     def combine(x: Tensor, t: Tensor) -> Tensor:

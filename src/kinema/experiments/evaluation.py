@@ -15,8 +15,11 @@ from kinema.experiments.corpus import open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.run import command, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
-from kinema.experiments.stages.base import Stage, given_run
-from kinema.runs.folder import RunFolder, append_line, console, read_lines, versions
+from kinema.experiments.stages.base import Stage, asked_for, given_run
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
+from kinema.runs.lines import append_line, read_lines
+from kinema.runs.versions import versions
 
 
 @dataclass(frozen=True)
@@ -49,21 +52,22 @@ def describe(cfg: DictConfig) -> Row:
     validate(cfg)
     corpus = PackedStore.open(open_corpus(cfg)).hash
 
-    def run(stage: Stage) -> Path:
+    def found(stage: Stage) -> Path:
         return stage.given(cfg) or stage_folder(cfg, stage, corpus).path
 
     scored = [stage for stage in stages().values() if stage.scored(cfg)]
     companions = [other for stage in scored for other in companions_of(stage)]
     row = Row(
         RunFolder(Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs) / "evaluation"),
-        judges={stage.name: run(stage) for stage in judges().values()},
-        subject={stage.name: run(stage) for stage in scored},
-        beside={stage.name: run(stage) if stage.beside(cfg) else None for stage in companions},
+        judges={stage.name: found(stage) for stage in judges().values()},
+        subject={stage.name: found(stage) for stage in scored},
+        beside={stage.name: found(stage) if stage.beside(cfg) else None for stage in companions},
         replications=cfg.scale.protocol.replications,
     )
     identity = _identity(cfg, row, corpus)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
-    who = f"-{Path(cfg.run).name if cfg.get('run') else cfg.method.name}-{cfg.representation.kind}"
+    run = asked_for(cfg)
+    who = f"-{cfg.method.name if run is None else run.name}-{cfg.representation.kind}"
     name = f"{what}{who if row.subject else ''}-s{cfg.seed}-{fingerprint(identity)}"
     return replace(row, folder=RunFolder(row.folder.path / name))
 

@@ -10,12 +10,13 @@ from omegaconf import DictConfig
 from kinema.data.store import PackedStore
 from kinema.runs.parts import load_part
 from kinema.text.cache import CachedTextEncoder
-from kinema.text.encoders import FrozenTextEncoder, build_text_encoder
+from kinema.text.encoders import build_text_encoder
+from kinema.text.frozen import FrozenTextEncoder
 
 
 def read_model(run: Path, part: str | None = None) -> Any:
     """Load a run's weights on the CPU, without gradients; raises ValueError if they are another part's than `part`."""
-    model, _ = load_part(Path(run), "cpu", part)
+    model, _ = load_part(run, part=part)
     return model.requires_grad_(False)
 
 

@@ -13,19 +13,21 @@ from torch import nn
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
+from kinema.devices import find_device, global_rank
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.motion.representation import Representation
 from kinema.pipeline.compatibility import check_pair
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.folder import RunFolder, global_rank
-from kinema.training.fit import Machine, find_device, fit
+from kinema.runs.folder import RunFolder
+from kinema.seeds import training_seed
+from kinema.training.fit import Machine, fit
 from kinema.training.latents import latent_source
 from kinema.training.loggers import loggers
-from kinema.training.modules import GeneratorModule, step_seed
+from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, MotionBatch
 
@@ -42,8 +44,8 @@ def make_model(
     meta = {"part": stage.name, "label": folder.path.name, "corpus": store.hash}
     if recipe is None:
         if global_rank() == 0:
-            artifacts.save(model, spec, folder.weights, **meta)
-        return Summary(round(time.monotonic() - started, 1), device=device)
+            weights.save(model, spec, folder.weights, **meta)
+        return Summary(round(time.monotonic() - started, 1), device=str(device))
     module = stage.module(cfg, model, recipe, store, needs)
     data = MotionDataModule(
         store.path,
@@ -63,14 +65,14 @@ def make_model(
     if global_rank() == 0:
         model.load_state_dict(fitted.weights)
         meta |= {"step": fitted.step, **stage.metadata(cfg, module, needs, folder)}
-        artifacts.save(model, spec, folder.weights, **meta)
+        weights.save(model, spec, folder.weights, **meta)
     trainable = sum(p.numel() for p in model.parameters() if p.requires_grad)
-    return Summary(round(fitted.seconds, 1), fitted.step, fitted.val_loss, trainable, device)
+    return Summary(round(fitted.seconds, 1), fitted.step, fitted.val_loss, trainable, str(device))
 
 
 def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[nn.Module, dict[str, Any]]:
     """Build a stage's model from its own seed, with the corpus' statistics; returns it and its spec."""
-    torch.manual_seed(step_seed(cfg.seed, "init", stage.name))
+    torch.manual_seed(training_seed(cfg.seed, "init", stage.name))
     spec = stage.spec(cfg)
     model = build(spec)
     for part in model.modules():

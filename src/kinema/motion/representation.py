@@ -107,7 +107,7 @@ class Representation(nn.Module):
 
     def _load_from_state_dict(self, *args: object, **kwargs: object) -> None:
         self._fitted = False
-        super()._load_from_state_dict(*args, **kwargs)  # type: ignore[arg-type]
+        super()._load_from_state_dict(*args, **kwargs)
 
 
 def _padded(values: Float[Tensor, "*b t d"], lengths: Int[Tensor, " b"] | None) -> Float[Tensor, "*b t d"]:

@@ -37,7 +37,7 @@ class Statistics:
         The width is the skeleton's full or essential one. A constant group keeps the deviation 1. Raises ValueError
         for chunks of another width, with NaN, or without any row.
         """
-        count, mean, squares = 0, None, None
+        count, mean, squares = 0, np.empty(0), np.empty(0)
         for index, chunk in enumerate(chunks):
             rows = np.asarray(chunk, dtype=np.float64)
             if rows.ndim != 2 or rows.shape[1] not in (skeleton.feature_width, skeleton.essential_width):
@@ -87,18 +87,15 @@ class Statistics:
     def load(cls, path: str | Path) -> Statistics:
         """Read an .npz written by `save`, or a folder with the published `Mean.npy` and `Std.npy`."""
         path = Path(path)
-        if path.is_dir():
-            mean, std = (_read(path / name) for name in ("Mean.npy", "Std.npy"))
-        else:
-            arrays = _read(path)
-            if not isinstance(arrays, dict) or not {"mean", "std"} <= arrays.keys():
-                raise ValueError(f"{path} holds no 'mean' and 'std'; give a file of Statistics.save")
-            mean, std = arrays["mean"], arrays["std"]
-        return cls(mean.astype(np.float64), std.astype(np.float64))
+        files = [path / "Mean.npy", path / "Std.npy"] if path.is_dir() else [path]
+        arrays = {name: values for file in files for name, values in _read(file).items()}
+        if not {"mean", "std"} <= arrays.keys():
+            raise ValueError(f"{path} holds no 'mean' and 'std'; give a file of Statistics.save")
+        return cls(arrays["mean"].astype(np.float64), arrays["std"].astype(np.float64))
 
 
-def _read(path: Path) -> np.ndarray | dict[str, np.ndarray]:
-    """Read an .npy or .npz; neither executes code."""
+def _read(path: Path) -> dict[str, np.ndarray]:
+    """Read an .npz, or an .npy as one array of the file's name; neither executes code."""
     if not path.is_file():
         raise FileNotFoundError(f"{path} is absent; give an .npz of Statistics.save or a folder with Mean.npy, Std.npy")
     try:
@@ -106,7 +103,7 @@ def _read(path: Path) -> np.ndarray | dict[str, np.ndarray]:
     except (ValueError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} is no .npy or .npz of plain numbers ({error}); write it again") from None
     if isinstance(loaded, np.ndarray):
-        return loaded
+        return {path.stem.lower(): loaded}
     with loaded:
         return dict(loaded)
 

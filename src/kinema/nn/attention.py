@@ -18,7 +18,7 @@ class KeyValueCache:
 
     def append(self, keys: Float[Tensor, "b h n d"], values: Float[Tensor, "b h n d"]) -> tuple[Tensor, Tensor]:
         """Add new positions and give all; raises ValueError beyond `size`."""
-        if self.keys is None:
+        if self.keys is None or self.values is None:
             shape = (*keys.shape[:2], self.size, keys.shape[3])
             self.keys, self.values = keys.new_empty(shape), values.new_empty(shape)
         end = self.length + keys.shape[2]

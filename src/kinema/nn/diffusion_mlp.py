@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -59,17 +61,18 @@ class DiffusionMLP(nn.Module):
 
     def reset_parameters(self) -> None:
         """Initialise: Xavier-uniform Linears, N(0, 0.02) time weights, zero modulations, output and biases."""
-        for layer in (m for m in self.modules() if isinstance(m, nn.Linear)):
+        for layer in _linears(self):
             nn.init.xavier_uniform_(layer.weight)
             nn.init.zeros_(layer.bias)
-        for layer in (self.time[0], self.time[2]):
+        for layer in _linears(self.time):
             nn.init.normal_(layer.weight, std=0.02)
-        for layer in (*(block.modulation for block in self.blocks), self.final.modulation, self.final.linear):
+        modulations = [block.modulation for block in self.modules() if isinstance(block, ResidualBlock)]
+        for layer in (*modulations, self.final.modulation, self.final.linear):
             nn.init.zeros_(layer.weight)
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
         """Embed a single time (one row, broadcast later) or one time per row."""
-        return self.time(timestep_embedding(time.reshape(-1), FREQUENCIES).to(self.time[0].weight.dtype))
+        return self.time(timestep_embedding(time.reshape(-1), FREQUENCIES).to(self.input_projection.weight.dtype))
 
     def denoise(
         self, x: Float[Tensor, "n d"], time: Float[Tensor, "#n w"], condition: Float[Tensor, "n w"]
@@ -85,3 +88,7 @@ class DiffusionMLP(nn.Module):
     def forward(self, x: Float[Tensor, "n d"], time: Tensor, condition: Float[Tensor, "n z"]) -> Float[Tensor, "n d"]:
         """Predict from raw time and condition."""
         return self.denoise(x, self.embed_time(time), self.embed_condition(condition))
+
+
+def _linears(module: nn.Module) -> Iterator[nn.Linear]:
+    return (layer for layer in module.modules() if isinstance(layer, nn.Linear))

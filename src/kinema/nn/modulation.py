@@ -26,9 +26,10 @@ class AdaLNBlock(nn.Module):
         self.mlp = nn.Sequential(
             nn.Linear(width, feedforward), nn.GELU(approximate="tanh"), nn.Linear(feedforward, width)
         )
-        self.modulation = nn.Sequential(nn.SiLU(), nn.Linear(width, 6 * width))
-        nn.init.zeros_(self.modulation[1].weight)
-        nn.init.zeros_(self.modulation[1].bias)
+        read = nn.Linear(width, 6 * width)
+        nn.init.zeros_(read.weight)
+        nn.init.zeros_(read.bias)
+        self.modulation = nn.Sequential(nn.SiLU(), read)
 
     def forward(
         self, x: Float[Tensor, "b n w"], condition: Float[Tensor, "b w"], mask: Bool[Tensor, "b n"] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -57,7 +57,7 @@ class TransformerBlock(nn.Module):
 
 
 def run(
-    blocks: Sequence[TransformerBlock],
+    blocks: Iterable[nn.Module],
     x: Float[Tensor, "b q w"],
     mask: Bool[Tensor, "..."] | None = None,
     caches: Sequence[KeyValueCache] | None = None,
@@ -73,5 +73,5 @@ def initialize(module: nn.Module, std: float = 0.02) -> None:
     for part in module.modules():
         if isinstance(part, nn.Linear | nn.Embedding):
             nn.init.normal_(part.weight, std=std)
-            if getattr(part, "bias", None) is not None:
-                nn.init.zeros_(part.bias)
+        if isinstance(part, nn.Linear) and part.bias is not None:
+            nn.init.zeros_(part.bias)

@@ -66,4 +66,5 @@ class Recipe:
     def optimizer(self, parameters: Iterable[nn.Parameter]) -> torch.optim.Optimizer:
         """Make AdamW over what is trainable (weight decay 0 makes it Adam)."""
         trainable = [p for p in parameters if p.requires_grad]
-        return torch.optim.AdamW(trainable, lr=self.lr, betas=tuple(self.betas), weight_decay=self.weight_decay)
+        first, second = self.betas
+        return torch.optim.AdamW(trainable, lr=self.lr, betas=(first, second), weight_decay=self.weight_decay)

@@ -60,7 +60,7 @@ def left_out(patient: Patient) -> Iterator[Finding]:
     for what, (kind, message, fix) in told.items():
         if found := by_kind[what]:
             share = len(found) / (len(found) + len(patient))
-            severity = "error" if what == "missing" and share > MANY_MISSING else "warning"
+            severity: Severity = "error" if what == "missing" and share > MANY_MISSING else "warning"
             items = tuple(f"{d.name} ({d.reason})" for d in found)
             yield Finding(severity, kind, f"{len(found)} {message}", fix, items)
     if found := by_kind["entry"]:
@@ -106,7 +106,9 @@ def captions(patient: Patient) -> Iterator[Finding]:
 def sides(patient: Patient) -> Iterator[Finding]:
     """Check that the captions of a mirrored clip say left where its original says right."""
     place = {name: i for i, name in enumerate(patient.names)}
-    same, odd, pairs = [], [], 0
+    same: list[str] = []
+    odd: list[str] = []
+    pairs = 0
     for name, i in place.items():
         original = place.get(name[1:]) if patient.mirrored[i] else None
         if original is None:

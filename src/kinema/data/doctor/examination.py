@@ -11,7 +11,7 @@ import numpy as np
 
 from kinema.data.catalog import SPLITS
 from kinema.data.doctor import contents, likeness
-from kinema.data.doctor.finding import Finding
+from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient, from_folder, from_store
 from kinema.data.store import PackedStore
 from kinema.motion.checks import check_clip
@@ -115,5 +115,5 @@ def _one_motion(file: Path) -> Iterator[Finding]:
         "info", "counts", f"{file.name}: {len(joints)} frames of {skeleton.name}, {len(joints) / skeleton.fps:.1f} s"
     )
     for problem in check_clip(joints, skeleton, skeleton.fps):
-        severity = "warning" if problem.kind == "jump" else "error"
+        severity: Severity = "warning" if problem.kind == "jump" else "error"
         yield Finding(severity, problem.kind, problem.message, "cut or repair the motion there")

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from kinema.data.doctor.finding import Finding
+from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
 from kinema.motion.recovery import recover_joints
 
@@ -112,7 +112,7 @@ def _across(patient: Patient, tested: np.ndarray, train: np.ndarray, distance: n
 
 def leakage(patient: Patient) -> Iterator[Finding]:
     """Find recordings whose parts, or whose mirror image, are in more than one split."""
-    groups = [
+    groups: list[tuple[Severity, str, list[str]]] = [
         (
             "error",
             "clip",

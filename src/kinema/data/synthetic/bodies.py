@@ -83,7 +83,7 @@ class Body:
         return float(np.linalg.norm(self.offsets[list(self.layout.legs[0][1:3])], axis=1).sum())
 
 
-def rotation(axis: int, angle: np.ndarray) -> np.ndarray:
+def rotation(axis: int, angle: np.ndarray | float) -> np.ndarray:
     """Make matrices (..., 3, 3) that turn about a coordinate axis by angle in radians."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
     matrix = np.zeros((*np.shape(angle), 3, 3))

@@ -12,11 +12,12 @@ from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Catalog, Clip
 from kinema.data.synthetic import gestures, jumps, locomotion, postures  # noqa: F401 (they register their actions)
 from kinema.data.synthetic.bodies import Body, pose, rotation
-from kinema.data.synthetic.plan import ACTIONS, Action, Plan
+from kinema.data.synthetic.plan import ACTIONS, LONGEST, Action, Plan
 from kinema.data.synthetic.styles import STYLES, apply, enliven
 from kinema.data.synthetic.tracks import Tracks
 from kinema.data.synthetic.wording import tell
 from kinema.motion.skeleton import get_skeleton
+from kinema.seeds import stream
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 SEQUENCES = 0.2
@@ -39,15 +40,13 @@ def perform(seed: int, index: int, fps: float, *, tags: bool = True) -> Performa
 
     `tags`: some captions are about one of two actions only and carry its seconds.
     """
-    rng = np.random.default_rng([seed, index])
+    rng = stream(seed, index)
     mirrored = bool(rng.random() < 0.5)
     style = str(rng.choice(list(STYLES))) if rng.random() < 0.62 else "neutral"
     sequence = bool(rng.random() < SEQUENCES)
     chosen = _pick(rng, 2 if sequence else 1)
     plans = [
-        Plan(
-            rng, fps, STYLES[style].tempo, STYLES[style].size, closed=sequence, **({"longest": 4.8} if sequence else {})
-        )
+        Plan(rng, fps, STYLES[style].tempo, STYLES[style].size, closed=sequence, longest=4.8 if sequence else LONGEST)
         for _ in chosen
     ]
     played = [play(a, plan, style, mirrored) for a, plan in zip(chosen, plans, strict=True)]
@@ -89,7 +88,7 @@ def synthetic_joints(seed: int, index: int, skeleton: str) -> np.ndarray:
     """
     kind = get_skeleton(skeleton)
     tracks = perform(seed, index, kind.fps, tags=skeleton == "humanml3d").tracks
-    rng = np.random.default_rng([seed, index, 1])
+    rng = stream(seed, index, 1)
     body = Body.average(skeleton).varied(rng)
     turned = rotation(1, rng.uniform(-np.pi, np.pi))
     place = rng.normal(0, 1, 3) * [1, 0, 1] * body.leg

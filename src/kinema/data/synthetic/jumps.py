@@ -114,7 +114,7 @@ def hop(plan: Plan) -> Tracks:
 
 @action("*do {number}", "*perform {number}")
 def jumping_jacks(plan: Plan) -> Tracks:
-    names = {1: ("a jumping jack", "one jumping jack")}
+    names: dict[int, tuple[str, ...]] = {1: ("a jumping jack", "one jumping jack")}
     names |= {n: (f"{w} jumping jacks",) for n, w in ((2, "two"), (3, "three"), (4, "four"), (5, "five"))}
     fits = int((plan.longest - 1.2) * plan.tempo / 1.9)
     count = plan.choose("number", {n: names[n] for n in range(1, max(1, min(5, fits)) + 1)})

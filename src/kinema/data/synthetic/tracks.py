@@ -128,9 +128,9 @@ class Tracks:
         spot = self.feet[-1].mean(0)
         other = other.moved(spot[0], spot[2], float(self.heading[-1]))
         weight = smooth(np.linspace(0, 1, overlap + 2)[1:-1])
-        joined = {"fps": self.fps}
+        joined = {}
         for f in fields(self)[1:]:
             a, b = getattr(self, f.name), getattr(other, f.name)
             w = weight.reshape(-1, *[1] * (a.ndim - 1))
             joined[f.name] = np.concatenate([a[:-overlap], (1 - w) * a[-overlap:] + w * b[:overlap], b[overlap:]])
-        return Tracks(**joined)
+        return Tracks(self.fps, **joined)

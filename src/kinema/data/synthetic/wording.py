@@ -77,13 +77,15 @@ def fill(template: str, words: Mapping[str, Sequence[str]], rng: np.random.Gener
         before, _, rest = template.partition("{")
         slot, _, after = rest.partition("}")
         options = words.get(slot, ("",))
-        template = before + options[rng.integers(len(options))] + after
+        template = before + options[int(rng.integers(len(options)))] + after
     return template
 
 
 def annotate(phrase: str, progressive: bool) -> tuple[str, list[str]]:
     """Inflect the verbs that `*` marks and look up the other words; gives the text and its tokens."""
-    text, tokens, auxiliary = [], [], progressive
+    text: list[str] = []
+    tokens: list[str] = []
+    auxiliary = progressive
     for word in phrase.split():
         if word == ",":
             text[-1] += ","

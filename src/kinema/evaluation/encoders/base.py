@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Sequence
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -30,6 +30,8 @@ class TextMotionEvaluator(nn.Module):
     DDP bucket. A short fingerprint of its identity is, so that weights trained with one are not read with another.
     """
 
+    vocabulary_fingerprint: Float[Tensor, " 8"]
+
     def __init__(self, representation: Representation, behaviour: dict[str, Any]) -> None:
         super().__init__()
         self.representation = representation
@@ -38,7 +40,7 @@ class TextMotionEvaluator(nn.Module):
         self.register_buffer("vocabulary_fingerprint", torch.zeros(8))
         self.__dict__["_attached"] = None
 
-    def attach(self, vocabulary: Vocabulary) -> TextMotionEvaluator:
+    def attach(self, vocabulary: Vocabulary) -> Self:
         """Hold the vocabulary beside the module; returns the module."""
         self.__dict__["_attached"] = vocabulary
         return self

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import torch
 import torch.nn.functional as F
@@ -21,6 +21,8 @@ MAX_POSITIONS = 2000
 
 class MotionTransformer(nn.Module):
     """Summarise normalised motion by a learned query token in front of the frames."""
+
+    positions: Float[Tensor, "l c"]
 
     def __init__(self, inputs: int, width: int, embedding: int, layers: nn.TransformerEncoder, dropout: float) -> None:
         super().__init__()
@@ -68,6 +70,9 @@ class ContrastiveEvaluator(TextMotionEvaluator):
     a table fills them if nothing was loaded. `mask_duplicates` leaves out negatives whose caption says the same.
     """
 
+    token_embedding: Float[Tensor, "v k"] | None
+    token_positions: Float[Tensor, "l k"] | None
+
     def __init__(
         self,
         representation: Representation,
@@ -98,7 +103,7 @@ class ContrastiveEvaluator(TextMotionEvaluator):
         for name, size in zip(("token_embedding", "token_positions"), sizes or (None, None), strict=True):
             self.register_buffer(name, None if size is None else torch.zeros(size, token_width))
 
-    def attach(self, vocabulary: Any) -> ContrastiveEvaluator:
+    def attach(self, vocabulary: Any) -> Self:
         """Hold the token table beside the module; its width must be `token_width`."""
         if vocabulary.embedding.shape[1] != self.token_width:
             found = vocabulary.embedding.shape[1]
@@ -106,9 +111,10 @@ class ContrastiveEvaluator(TextMotionEvaluator):
                 f"the token table {vocabulary.identity} has width {found}, this evaluator was built with "
                 f"token_width={self.token_width}; set token_width={found}"
             )
-        if self.token_embedding is not None and not self.token_embedding.any():
-            self.token_embedding.copy_(vocabulary.embedding)
-            self.token_positions.copy_(vocabulary.positional)
+        table, positions = self.token_embedding, self.token_positions
+        if table is not None and positions is not None and not table.any():
+            table.copy_(vocabulary.embedding)
+            positions.copy_(vocabulary.positional)
         return super().attach(vocabulary)
 
     def embed_motion(self, batch: MotionBatch) -> Float[Tensor, "b e"]:
@@ -141,9 +147,9 @@ class ContrastiveEvaluator(TextMotionEvaluator):
     @torch.no_grad()
     def _tokens(self, ids: Int[Tensor, "b l"]) -> Float[Tensor, "b l k"]:
         """Look up frozen embeddings and add frozen positions."""
-        owned = self.token_embedding is not None
-        table = self.token_embedding if owned else self.vocabulary.embedding
-        positions = self.token_positions if owned else self.vocabulary.positional
+        table, positions = self.token_embedding, self.token_positions
+        if table is None or positions is None:
+            table, positions = self.vocabulary.embedding, self.vocabulary.positional
         # The table stays where it is (it may be large); only the rows in use move.
         rows = F.embedding(ids.to(table.device).long(), table) + positions[: ids.shape[1]]
         return rows.to(self.logit_scale.device, torch.float32)

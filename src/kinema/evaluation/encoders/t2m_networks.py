@@ -84,4 +84,5 @@ class WordEncoder(SequenceEncoder):
 def _xavier(module: nn.Module) -> None:
     if isinstance(module, nn.Linear | nn.Conv1d | nn.ConvTranspose1d):
         nn.init.xavier_normal_(module.weight)
-        nn.init.zeros_(module.bias)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)

@@ -15,6 +15,8 @@ class ClipScore(Metric):
     """Average cos(motion_i, text_i); no clipping at 0, no factor 2.5."""
 
     is_differentiable, higher_is_better, full_state_update = False, True, False
+    total: Tensor
+    count: Tensor
 
     def __init__(self, **kwargs: object) -> None:
         super().__init__(**kwargs)

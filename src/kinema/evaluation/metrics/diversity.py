@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 from torchmetrics import Metric
+from torchmetrics.utilities import dim_zero_cat
 
 from kinema.evaluation.metrics.finite import require_finite
 
@@ -22,6 +23,8 @@ class Diversity(Metric):
     """
 
     is_differentiable, higher_is_better, full_state_update = False, True, False
+    embeddings: list[Tensor]
+    places: list[Tensor]
 
     def __init__(self, pairs: int = 300, seed: int = 0, **kwargs: object) -> None:
         super().__init__(**kwargs)
@@ -37,8 +40,8 @@ class Diversity(Metric):
 
     def compute(self) -> Float[Tensor, ""]:
         """Return the diversity; ValueError with fewer than two motions."""
-        embeddings, places = (torch.cat(v) if isinstance(v, list) else v for v in (self.embeddings, self.places))
-        embeddings = embeddings[torch.argsort(places)]
+        # Synchronising ranks has made one tensor of each list.
+        embeddings = dim_zero_cat(self.embeddings)[torch.argsort(dim_zero_cat(self.places))]
         first, second = draw_pairs(len(embeddings), self.pairs, self.seed)
         return mean_distance(embeddings, first.to(embeddings.device), second.to(embeddings.device))
 
@@ -47,6 +50,8 @@ class MultiModality(Metric):
     """Average the distances of random pairs of generations for one caption; the same pairs for every caption."""
 
     is_differentiable, higher_is_better, full_state_update = False, True, False
+    distance: Tensor
+    texts: Tensor
 
     def __init__(self, pairs: int = 10, seed: int = 0, **kwargs: object) -> None:
         super().__init__(**kwargs)

@@ -18,6 +18,7 @@ class FrechetDistance(Metric):
     """
 
     is_differentiable, higher_is_better, full_state_update = False, False, False
+    real_sum: Tensor
 
     def __init__(self, width: int, **kwargs: object) -> None:
         super().__init__(**kwargs)

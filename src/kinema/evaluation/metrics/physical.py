@@ -28,6 +28,15 @@ class Physical(Metric):
     """
 
     is_differentiable, full_state_update = False, False
+    clips: Tensor
+    generated_skating: Tensor
+    generated_jitter: Tensor
+    generated_turn: Tensor
+    generated_velocity: Tensor
+    real_skating: Tensor
+    real_jitter: Tensor
+    real_turn: Tensor
+    real_velocity: Tensor
 
     def __init__(self, skeleton: Skeleton, **kwargs: object) -> None:
         super().__init__(**kwargs)

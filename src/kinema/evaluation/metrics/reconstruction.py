@@ -23,6 +23,10 @@ class Reconstruction(Metric):
     """
 
     is_differentiable, higher_is_better, full_state_update = False, False, False
+    world: Tensor
+    local: Tensor
+    heading: Tensor
+    frames: Tensor
 
     def __init__(self, skeleton: Skeleton, **kwargs: object) -> None:
         super().__init__(**kwargs)

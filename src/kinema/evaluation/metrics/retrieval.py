@@ -7,10 +7,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torchmetrics import Metric
 
+from kinema.data.sampler import LEFTOVERS
 from kinema.evaluation.metrics.finite import require_finite
 
 TOP = 3
-LEFTOVERS = ("drop", "keep", "mld")
 
 
 class Retrieval(Metric):
@@ -21,6 +21,9 @@ class Retrieval(Metric):
     """
 
     is_differentiable, full_state_update = False, False
+    hits: Int[Tensor, " k"]
+    distance: Tensor
+    count: Tensor
 
     def __init__(self, pool: int = 32, leftover: str = "drop", **kwargs: object) -> None:
         super().__init__(**kwargs)

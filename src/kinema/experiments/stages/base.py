@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
-from kinema.runs.folder import RunFolder, upstream
-
-if TYPE_CHECKING:
-    from kinema.data.store import PackedStore
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,8 @@ class Stage:
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run that the configuration names in place of its own: a part of the run that `run=` names."""
-        return upstream(Path(cfg.run)).get(self.name) if cfg.get("run") else None
+        run = asked_for(cfg)
+        return None if run is None else upstream(run).get(self.name)
 
     def scored(self, cfg: DictConfig) -> bool:
         """Say whether an evaluation scores the motion that this stage's run makes."""
@@ -75,6 +75,11 @@ class Stage:
     def make(self, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder) -> Summary:
         """Write the run's weights, from the finished runs that it needs."""
         raise TypeError(f"{type(self).__name__} says nothing of how it is made; write its method make")
+
+
+def asked_for(cfg: DictConfig) -> Path | None:
+    """Return the folder that `run=` of an evaluation names: a path, or `latest:METHOD`."""
+    return find_run(cfg.run, cfg.paths.runs) if cfg.get("run") else None
 
 
 def given_run(cfg: DictConfig, stage: Stage) -> RunFolder | None:

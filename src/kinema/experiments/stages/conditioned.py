@@ -5,15 +5,17 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
+from torch import nn
 
+from kinema.data.store import PackedStore
+from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
+from kinema.pipeline.compatibility import check_pair
 from kinema.runs.folder import RunFolder
+from kinema.runs.parts import write_text_encoder
 
 if TYPE_CHECKING:
-    from torch import nn
-
-    from kinema.data.store import PackedStore
     from kinema.training.modules import GeneratorModule
     from kinema.training.recipe import Recipe
 
@@ -30,8 +32,6 @@ class ConditionedStage(FittedStage):
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
         """Check the captions, and that the model fits the tokenizer's latents."""
-        from kinema.pipeline.compatibility import check_pair
-
         super().check(cfg, store)
         tokenizer = self.tokenizer(cfg)
         if tokenizer is not None:
@@ -50,10 +50,7 @@ class ConditionedStage(FittedStage):
         self, cfg: DictConfig, module: GeneratorModule, needs: dict[str, RunFolder], folder: RunFolder
     ) -> dict[str, Any]:
         """Name the text encoder, and the representation that the latents are of."""
-        from kinema.experiments.instantiate import read_model
-        from kinema.runs.folder import write_json
-
-        write_json(folder.path / "text.json", {"encoder": cfg.text.name, "path": cfg.text.path})
+        write_text_encoder(folder.path, cfg.text.name, cfg.text.path)
         found = {"text": module.text.value.identity}
         stage = self.tokenizer(cfg)
         if stage is not None:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig
 
 from kinema.experiments.stages.judge import JudgeStage
-
-if TYPE_CHECKING:
-    from kinema.text.tokens import TokenTable
+from kinema.text.tokens import TokenTable, clip_tokens
 
 
 class ContrastiveStage(JudgeStage):
@@ -22,8 +20,6 @@ class ContrastiveStage(JudgeStage):
 
     def vocabulary(self, cfg: DictConfig) -> TokenTable:
         """Return the token table."""
-        from kinema.text.tokens import clip_tokens
-
         return clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
 
     def spec(self, cfg: DictConfig) -> dict[str, Any]:

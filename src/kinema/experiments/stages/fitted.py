@@ -5,16 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from omegaconf import DictConfig
+from torch import nn
 
+from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
+from kinema.experiments.corpus import require_captions
 from kinema.experiments.stages.base import Stage, Summary
+from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
 
-if TYPE_CHECKING:
-    from torch import nn
-
-    from kinema.data.store import PackedStore
+if TYPE_CHECKING:  # and below where it is used: a finished run must not pay for Lightning
     from kinema.training.callbacks import Samples
     from kinema.training.modules import StageModule
     from kinema.training.recipe import Recipe
@@ -52,17 +54,11 @@ class FittedStage(Stage):
 
     def sketch(self, cfg: DictConfig) -> nn.Module:
         """Build the model without memory, to compare it with others before any of them is made."""
-        import torch
-
-        from kinema.runs.build import build
-
         with torch.device("meta"):
             return build(self.spec(cfg))
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
         """Check that there are captions for a recipe that reads them."""
-        from kinema.experiments.corpus import require_captions
-
         train = self.config(cfg).train
         if train is not None and train.data == "clips":
             require_captions(store, "train", "val")

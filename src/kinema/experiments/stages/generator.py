@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
+from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
+from kinema.experiments.instantiate import read_model
+from kinema.experiments.stages.base import asked_for
 from kinema.experiments.stages.conditioned import ConditionedStage
+from kinema.generators import Generator
 from kinema.runs.folder import RunFolder
 
 if TYPE_CHECKING:
-    from kinema.data.store import PackedStore
-    from kinema.generators import Generator
     from kinema.training.callbacks import Samples
     from kinema.training.modules import GeneratorModule, StageModule
     from kinema.training.recipe import Recipe
@@ -36,7 +38,7 @@ class GeneratorStage(ConditionedStage):
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run that `run=` names."""
-        return Path(cfg.run) if cfg.get("run") else None
+        return asked_for(cfg)
 
     def scored(self, cfg: DictConfig) -> bool:
         """Generated motion is what tables are about."""
@@ -46,8 +48,6 @@ class GeneratorStage(ConditionedStage):
         self, cfg: DictConfig, model: Generator, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> GeneratorModule:
         """Attach what it has beside it in training already."""
-        from kinema.experiments.instantiate import read_model
-
         for name in model.parts:
             if name in needs:
                 model.attach(name, read_model(needs[name].path, name))
@@ -59,7 +59,6 @@ class GeneratorStage(ConditionedStage):
         """Draw sample motions every few steps, if asked for."""
         if not cfg.callbacks.samples_every:
             return []
-        from kinema.experiments.instantiate import read_model
         from kinema.experiments.previews import sample_drawer
         from kinema.training.callbacks import Samples
 

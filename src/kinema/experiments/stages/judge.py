@@ -6,16 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from omegaconf import DictConfig
+from torch import nn
 
+from kinema.data.store import PackedStore
+from kinema.evaluation.encoders.base import Vocabulary
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.runs.folder import RunFolder
 
 if TYPE_CHECKING:
-    from torch import nn
-
-    from kinema.data.store import PackedStore
-    from kinema.text.tokens import TokenTable
-    from kinema.text.words import WordVectors
     from kinema.training.modules import StageModule
     from kinema.training.recipe import Recipe
 
@@ -42,7 +40,7 @@ class JudgeStage(EvaluatorStage):
         path = (cfg.get("evaluators") or {}).get(self.given_as)
         return Path(path) if path else None
 
-    def vocabulary(self, cfg: DictConfig) -> WordVectors | TokenTable:
+    def vocabulary(self, cfg: DictConfig) -> Vocabulary:
         """Return what it reads captions with; its model's width follows."""
         raise TypeError(f"{type(self).__name__} has no vocabulary; write its method vocabulary")
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
+from torch import nn
 
+from kinema.data.store import PackedStore
+from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.judge import JudgeStage
 from kinema.runs.folder import RunFolder
+from kinema.text.words import WordVectors, word_vectors
 
 if TYPE_CHECKING:
-    from torch import nn
-
-    from kinema.data.store import PackedStore
-    from kinema.text.words import WordVectors
     from kinema.training.modules import StageModule
     from kinema.training.recipe import Recipe
 
@@ -29,8 +29,6 @@ class MatchingStage(JudgeStage):
 
     def vocabulary(self, cfg: DictConfig) -> WordVectors:
         """Return the word vectors."""
-        from kinema.text.words import word_vectors
-
         return word_vectors(cfg.evaluator.words, path=cfg.evaluator.words_path)
 
     def spec(self, cfg: DictConfig) -> dict[str, Any]:
@@ -41,8 +39,6 @@ class MatchingStage(JudgeStage):
         self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> StageModule:
         """Take over the movement encoder."""
-        from kinema.experiments.instantiate import read_model
-
         (encoder,) = self.needs
         model.load_movement(read_model(needs[encoder].path, encoder))
         return super().module(cfg, model, recipe, store, needs)

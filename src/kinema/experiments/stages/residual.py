@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from omegaconf import DictConfig
 
+from kinema.data.store import PackedStore
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.experiments.stages.generator import GeneratorStage
-
-if TYPE_CHECKING:
-    from kinema.data.store import PackedStore
 
 
 class ResidualStage(ConditionedStage):

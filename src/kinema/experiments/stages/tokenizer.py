@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
+from torch import nn
 
-from kinema.experiments.stages.base import given_run
+from kinema.experiments.instantiate import read_model
+from kinema.experiments.stages.base import asked_for, given_run
 from kinema.experiments.stages.fitted import FittedStage
-
-if TYPE_CHECKING:
-    from torch import nn
+from kinema.runs.latest import find_run
 
 
 class TokenizerStage(FittedStage):
@@ -26,9 +25,10 @@ class TokenizerStage(FittedStage):
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run that `tokenizer_run=` names, or the one of the run that `run=` names (it may be that one)."""
-        if cfg.get("run"):
-            return super().given(cfg) or Path(cfg.run)
-        return Path(cfg.tokenizer_run) if cfg.tokenizer_run else None
+        run = asked_for(cfg)
+        if run is not None:
+            return super().given(cfg) or run
+        return find_run(cfg.tokenizer_run, cfg.paths.runs) if cfg.tokenizer_run else None
 
     def scored(self, cfg: DictConfig) -> bool:
         """Decoded motion is scored by itself."""
@@ -39,8 +39,6 @@ class TokenizerStage(FittedStage):
         run = given_run(cfg, self)
         if run is None:
             return super().sketch(cfg)
-        from kinema.experiments.instantiate import read_model
-
         tokenizer = read_model(run.path, self.name)
         own = tokenizer.representation
         if own.kind != cfg.representation.kind or own.skeleton_name != cfg.data.skeleton:

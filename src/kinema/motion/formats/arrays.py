@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ def save_npy(motion: Motion, path: str | Path) -> Path:
 
 def save_npz(motion: Motion, path: str | Path) -> Path:
     """Write everything a motion holds: joints, features, text, fps, skeleton and, if it has one, seed."""
-    content = {
+    content: dict[str, Any] = {
         "joints": np.asarray(motion.joints, dtype=np.float32),
         "features": np.asarray(motion.features, dtype=np.float32),
         "text": np.array(motion.text),

@@ -57,7 +57,7 @@ def body_of(motion: Motion) -> Body:
     parents = tuple(int(p) for p in skeleton.parents)
     leaves = set(range(len(parents))) - set(parents)
     head = next(j for j in sorted(leaves) if sides[j] == MIDDLE)
-    return Body(parents, sides, tuple(skeleton.face_joints), head, _stature(metres(motion), skeleton, head))
+    return Body(parents, sides, skeleton.face_joints, head, _stature(metres(motion), skeleton, head))
 
 
 def joint_sides(skeleton: Skeleton) -> tuple[int, ...]:

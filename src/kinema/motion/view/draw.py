@@ -12,6 +12,7 @@ from kinema.motion.view.body import LEFT, RIGHT, Body
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
 COLOURS = {LEFT: "#2a6fe0", RIGHT: "#e2662a", 0: "#4a5365"}
@@ -47,14 +48,17 @@ def facing(pose: Float[np.ndarray, "j 3"], body: Body) -> float:
 
 def new_figure(width: float, height: float, dpi: int) -> Figure:
     """Make an Agg figure, whatever backend the caller's session uses."""
+    return new_canvas(width, height, dpi).figure
+
+
+def new_canvas(width: float, height: float, dpi: int) -> FigureCanvasAgg:
+    """Make an Agg canvas with a figure of so many inches; its pixels can be read."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     except ImportError as error:
         raise ImportError("drawing needs matplotlib: pip install 'kinema[viz]'") from error
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor=STAGE)
-    FigureCanvasAgg(figure)
-    return figure
+    return FigureCanvasAgg(Figure(figsize=(width, height), dpi=dpi, facecolor=STAGE))
 
 
 def draw_pose(axes: Axes, pose: Float[np.ndarray, "j 3"], body: Body, camera: Camera, at: float = 0.0) -> None:
@@ -120,4 +124,5 @@ def _points_per_metre(axes: Axes) -> float:
 
 
 def _rgb(colour: str) -> tuple[float, float, float]:
-    return tuple(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return red, green, blue

@@ -82,7 +82,8 @@ def pack(joints: np.ndarray) -> Packed:
     centre = (low + high) / 2
     scale = max(float((high - low).max()) / 2 / _INT16, 1e-9)
     integers = np.rint((flat - centre) / scale).clip(-_INT16, _INT16).astype("<i2")
-    return Packed(base64.b64encode(integers.tobytes()).decode(), scale, tuple(float(c) for c in centre))
+    x, y, z = (float(c) for c in centre)
+    return Packed(base64.b64encode(integers.tobytes()).decode(), scale, (x, y, z))
 
 
 def _figure(motion: Motion, label: str, group: str) -> str:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import textwrap
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kinema.atomic import replacing
 from kinema.motion.view.body import Body, body_of, finite_metres
-from kinema.motion.view.draw import INK, MUTED, Camera, draw_grid, draw_path, draw_pose, facing, new_figure
+from kinema.motion.view.draw import INK, MUTED, Camera, draw_grid, draw_path, draw_pose, facing, new_canvas, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +31,8 @@ def save_mp4(motion: Motion, path: str | Path) -> Path:
         raise ImportError("writing mp4 needs imageio-ffmpeg: pip install 'kinema[viz]'") from error
     joints, body = finite_metres(motion), body_of(motion)
     way = _smooth(joints[:, 0, [0, 2]], reach=round(motion.fps * 0.4))
-    figure = new_figure(_PIXELS / 100, _PIXELS / 100, dpi=100)
-    axes = figure.add_axes((0, 0, 1, 1))
+    canvas = new_canvas(_PIXELS / 100, _PIXELS / 100, dpi=100)
+    axes = canvas.figure.add_axes((0, 0, 1, 1))
     angle = facing(joints[0], body) + _TURN
     with replacing(path) as temporary:
         writer = imageio_ffmpeg.write_frames(
@@ -45,8 +45,8 @@ def save_mp4(motion: Motion, path: str | Path) -> Path:
                 camera = Camera((way[frame, 0], 0.57 * body.stature, way[frame, 1]), angle, _PITCH, 2.7 * body.stature)
                 _draw_frame(axes, joints, frame, body, camera)
                 _caption(axes, motion, frame)
-                figure.canvas.draw()
-                writer.send(np.ascontiguousarray(np.asarray(figure.canvas.buffer_rgba())[..., :3]))
+                canvas.draw()
+                writer.send(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
         finally:
             writer.close()
     return Path(path)
@@ -88,7 +88,7 @@ def _draw_frame(axes: Axes, joints: np.ndarray, frame: int, body: Body, camera: 
 
 def _caption(axes: Axes, motion: Motion, frame: int) -> None:
     text = textwrap.fill(textwrap.shorten(motion.text, 160, placeholder=" ..."), 56)
-    style = {"transform": axes.transAxes, "color": INK, "fontsize": 9.5}
+    style: dict[str, Any] = {"transform": axes.transAxes, "color": INK, "fontsize": 9.5}
     axes.text(0.03, 0.97, text, va="top", **style)
     clock = f"{frame / motion.fps:.1f} / {(len(motion.joints) - 1) / motion.fps:.1f} s"
     axes.text(0.97, 0.03, clock, ha="right", **{**style, "color": MUTED, "fontsize": 8.5})

@@ -1,0 +1,32 @@
+"""Test that sides are swapped once and for all, and that caption lines read back as written."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kinema.data.captions import AnnotatedCaption, parse_line, swap_sides
+from kinema.data.synthetic.folders import format_caption
+from kinema.types import Caption
+
+SIDED = ("left", "Right", "LEFT", "clockwise", "counterclockwise", "left-handed", "rightward", "left/ADJ", "leftmost")
+PLAIN = ("a", "man", "turns", "walks", "bright", "leftover", "step/NOUN", "arm", ",")
+WORDS = st.lists(st.sampled_from(SIDED + PLAIN), min_size=1, max_size=8)
+SECONDS = st.floats(0, 500).map(lambda s: round(s, 2))
+
+
+@given(WORDS.map(" ".join))
+def test_swapping_twice_is_the_identity(text):
+    assert swap_sides(swap_sides(text)) == text
+
+
+@given(WORDS)
+def test_every_side_is_swapped_and_nothing_else(words):
+    swapped = swap_sides(" ".join(words)).split()
+    assert [a != b for a, b in zip(words, swapped, strict=True)] == [word in SIDED for word in words]
+
+
+@given(WORDS, WORDS, SECONDS, SECONDS)
+def test_a_caption_line_reads_back_as_written(words, tokens, start, end):
+    caption = AnnotatedCaption(Caption(" ".join(words), tuple(tokens)), start, end)
+    assert parse_line(format_caption(caption)) == caption
