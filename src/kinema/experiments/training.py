@@ -93,7 +93,7 @@ def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | No
         values["steps"] = max(1, per_epoch) * train["epochs"]
     if debug_steps:
         values |= {"steps": debug_steps, "validate_every": debug_steps, "checkpoint_every": debug_steps}
-    values["milestones"] = tuple(values.get("milestones") or ())
+    values |= {k: tuple(values[k] or ()) for k in ("milestones", "betas", "clip_each") if k in values}
     try:
         recipe = Recipe(**values)
         return replace(recipe, validate_every=min(recipe.validate_every, recipe.steps))
