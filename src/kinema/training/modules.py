@@ -83,7 +83,8 @@ class StageModule(LightningModule):
     def configure_optimizers(self) -> dict[str, Any]:
         """Make the recipe's optimiser and its schedule by steps."""
         optimizer = self.recipe.optimizer(self.model.parameters())
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, self.recipe.factor)
+        # A plain function: of a bound method the schedule would write the attributes into every checkpoint.
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: self.recipe.factor(step))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def configure_gradient_clipping(self, optimizer: torch.optim.Optimizer, *_: Any, **__: Any) -> None:
