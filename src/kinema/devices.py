@@ -21,7 +21,8 @@ def find_device(name: str | torch.device | None = None) -> torch.device:
 
     Raises ValueError for one that isn't there.
     """
-    choices = ACCELERATORS.get(str(name or "auto"))
+    name = name or "auto"
+    choices = ACCELERATORS.get(str(name))
     if choices is None:
         return _torch_device(name)
     there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available(), "cpu": True}

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from kinema.experiments.config import CONF
 from kinema.runs import weights
 from kinema.tokenizers import MotionTokenizer
+from kinema.types import MotionBatch
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))
 DIMS = ("essential", "redundant", "published")
@@ -47,7 +46,7 @@ def test_it_decodes_what_it_encodes_and_padding_changes_nothing(workshop, name):
     assert not decoded.features[~decoded.mask].any()
     row = int(batch.lengths.argmin())
     frames = int(batch.lengths[row])
-    alone = replace(batch, features=batch.features[row : row + 1, :frames], lengths=batch.lengths[row : row + 1])
+    alone = MotionBatch(batch.features[row : row + 1, :frames], batch.lengths[row : row + 1])
     own = model.encode(alone)
     if latents.codes is None:
         torch.testing.assert_close(own.values[0], latents.values[row, : own.values.shape[1]], rtol=1e-4, atol=1e-4)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from kinema.seeds import item_seed, stream
 
 LEFTOVERS = ("drop", "keep", "mld")
