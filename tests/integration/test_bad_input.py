@@ -69,7 +69,7 @@ def clip_of(corpus: Path, split: str = "train") -> Path:
         (["generator.train.stepz=3"], ["stepz"]),
         (["+generator.train.stepz=3"], ["error: train config", "stepz", "Recipe"]),
         (["unknown=3"], ["unknown"]),
-        (["stage=generater"], ["stage='generater' is unknown; allowed: tokenizer, generator"]),
+        (["stage=generater"], ["stage='generater' is unknown; allowed: contrastive, decomposition"]),
         (["seed=-1"], ["seed=-1; it must be an integer of at least 0"]),
         (["data=custom"], ["error: config: Missing mandatory value", "set data.source"]),
         (["trainer.progress=loud"], ["trainer.progress='loud'; allowed: rich, tqdm, none"]),
@@ -92,8 +92,8 @@ def test_wrong_evaluations_are_named(refused, tmp_path):
     assert "source='gen' is unknown; allowed: real, shuffled" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
-    assert "train it with `kinema train stage=matching data=synthetic" in message
-    assert not (tmp_path / "runs" / "matching").exists()
+    assert "train it with `kinema train stage=contrastive data=synthetic" in message
+    assert not (tmp_path / "runs" / "contrastive").exists()
 
 
 def no_split(corpus: Path) -> None:

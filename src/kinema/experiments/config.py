@@ -16,7 +16,6 @@ def find_conf(package: Path) -> Path:
 
 
 CONF = find_conf(Path(__file__).resolve().parents[1])
-STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 TYPICAL = {
@@ -83,8 +82,6 @@ def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
     check_options(cfg)
     checks = []
-    if "stage" in cfg:
-        checks.append(("stage", cfg.stage, STAGES))
     if "source" in cfg:
         checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
         checks.append(("edit.task", cfg.edit.task, EDITS))
