@@ -70,11 +70,11 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
     """Return the multiruns that a table still needs, upstream first; none when everything is there."""
     ours = [row for row in rows if row.cfg is not None and not row.complete]
-    groups: dict[tuple, tuple[list[str], list[str]]] = {}
+    groups: dict[tuple[str, ...], tuple[list[str], list[str]]] = {}
     for row in ours:
         source, method = row.spec["source"], row.spec.get("method")
         # Rows without a method are one multirun over sources, the others one over methods for each source.
-        key = (source if method else None, *row.spec.get("overrides", []))
+        key = (source if method else "", *row.spec.get("overrides", []))
         sources, methods = groups.setdefault(key, ([], []))
         if source not in sources:
             sources.append(source)
@@ -88,6 +88,8 @@ def missing_stages(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
     """Return the multiruns of the runs that rows lack: each run once, and after those that it reads."""
     jobs: dict[Path, tuple[str, str | None, tuple[str, ...]]] = {}
     for row in rows:
+        if row.cfg is None or row.place is None:
+            continue
         for name in row.place.runs:
             for run, stage in _unmade(row.cfg, get_stage(name)).items():
                 jobs.setdefault(run, (stage, row.spec.get("method"), _trained_by(row)))

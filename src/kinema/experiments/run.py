@@ -67,7 +67,7 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     if global_rank() > 0:
         return _follow(cfg, stage, store, folder, needs)
     with folder.lock():
-        if folder.done:
+        if RunFolder(folder.path).done:  # another process made it meanwhile
             console.print(f"cached    {folder.path}")
             return folder
         _make(cfg, stage, store, folder, needs, beside)

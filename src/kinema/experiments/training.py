@@ -8,7 +8,6 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
@@ -18,6 +17,7 @@ from kinema.experiments.config import plain
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
+from kinema.generators import LatentModel
 from kinema.motion.representation import Representation
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs import weights
@@ -41,7 +41,7 @@ def make_model(
     started, train = time.monotonic(), plain(stage.config(cfg))["train"]
     recipe = make_recipe(train, store, debug_steps=cfg.debug.steps) if train else None
     model, spec = initial_model(stage, cfg, store)
-    meta = {"part": stage.name, "label": folder.path.name, "corpus": store.hash}
+    meta: dict[str, Any] = {"part": stage.name, "label": folder.path.name, "corpus": store.hash}
     if recipe is None:
         if global_rank() == 0:
             weights.save(model, spec, folder.weights, **meta)
@@ -70,7 +70,7 @@ def make_model(
     return Summary(round(fitted.seconds, 1), fitted.step, fitted.val_loss, trainable, str(device))
 
 
-def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[nn.Module, dict[str, Any]]:
+def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[Any, dict[str, Any]]:
     """Build a stage's model from its own seed, with the corpus' statistics; returns it and its spec."""
     torch.manual_seed(training_seed(cfg.seed, "init", stage.name))
     spec = stage.spec(cfg)
@@ -102,7 +102,7 @@ def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | No
 
 
 def generator_module(
-    cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, tokenizer_run: RunFolder | None
+    cfg: DictConfig, model: LatentModel, recipe: Recipe, store: PackedStore, tokenizer_run: RunFolder | None
 ) -> GeneratorModule:
     """Wire a model of latents to the captions, and to the latents of a tokenizer or the number of frames alone."""
     device = find_device(cfg.trainer.accelerator)

@@ -151,7 +151,7 @@ class RunRecord(Callback):
 class Samples(Callback):
     """Write what the model makes of a few validation prompts, as a page that plays, and log it where wandb runs."""
 
-    def __init__(self, folder: Path, every: int, draw: Callable[[torch.nn.Module, Path], Path | None]) -> None:
+    def __init__(self, folder: Path, every: int, draw: Callable[[Any, Path], Path | None]) -> None:
         self.folder = folder
         self.every = every
         self.draw = draw

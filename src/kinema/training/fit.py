@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -77,7 +78,7 @@ def fit(
     folder: Path,
     machine: Machine,
     *,
-    callbacks: list[Callback] | None = None,
+    callbacks: Sequence[Callback] | None = None,
     loggers: list[Any] | None = None,
 ) -> Fitted:
     """Train to the recipe's number of steps, resuming from `folder/checkpoints/last.ckpt` where that exists."""

@@ -56,7 +56,9 @@ class LatentCache:
         return torch.from_numpy(low), torch.from_numpy(high)
 
     @classmethod
-    def ensure(cls, folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str) -> LatentCache:
+    def ensure(
+        cls, folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
+    ) -> LatentCache:
         """Encode all crops of the data sets once, in a fixed order; the caller holds the tokenizer run's lock.
 
         An interrupted attempt is thrown away by the next.
@@ -69,7 +71,7 @@ class LatentCache:
     @staticmethod
     @torch.no_grad()
     def _write(
-        folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str, batch: int = 64
+        folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str, batch: int = 64
     ) -> None:
         crops = [(int(e), s, n) for data in clips for e in data.entries for s, n in data.crops(int(e))]
         store = clips[0].store
@@ -110,7 +112,9 @@ class LatentCache:
 class EncodeEachTime:
     """Encode every batch anew: frames as they are, and latents that are drawn (a VAE's) or of augmented motion."""
 
-    def __init__(self, tokenizer: MotionTokenizer, clips: list[ClipDataset] | None = None, device: str = "cpu") -> None:
+    def __init__(
+        self, tokenizer: MotionTokenizer, clips: list[ClipDataset] | None = None, device: torch.device | str = "cpu"
+    ) -> None:
         self.tokenizer, self.clips, self.device = tokenizer.to(device).eval(), clips or [], device
 
     @torch.no_grad()
@@ -132,7 +136,7 @@ class EncodeEachTime:
 
 
 def latent_source(
-    folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str
+    folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
 ) -> LatentCache | EncodeEachTime:
     """Choose where a tokenizer's latents come from: looked up if they are always the same and no frames, else made.
 

@@ -54,8 +54,8 @@ def _find(folders: tuple[str, ...]) -> list[list[Stage]]:
                     raise ValueError(f"{kind} and {type(other)} are both stage {kind.name!r}; rename one of them")
     order = TopologicalSorter({stage.name: stage.needs for stage in found.values()})
     for stage in found.values():
-        for other in (*stage.needed_by, *stage.companion_of):
-            order.add(other, stage.name)
+        for reader in (*stage.needed_by, *stage.companion_of):
+            order.add(reader, stage.name)
     order.prepare()
     grouped = []
     while order.is_active():

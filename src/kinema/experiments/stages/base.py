@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.runs.folder import RunFolder
+from kinema.runs.latest import find_run
 from kinema.runs.parts import upstream
 
 
@@ -42,8 +43,8 @@ class Stage:
     reads: ClassVar[tuple[str, ...]] = ()
     on_all_ranks: ClassVar[bool] = False
 
-    def config(self, cfg: DictConfig) -> DictConfig | None:
-        """Return the stage's own part of the configuration."""
+    def config(self, cfg: DictConfig) -> Any:
+        """Return the stage's own part of the configuration; None where it has none."""
         return OmegaConf.select(cfg, self.node)
 
     def present(self, cfg: DictConfig) -> bool:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.store import PackedStore
 from kinema.evaluation.encoders.base import Vocabulary
@@ -45,7 +44,7 @@ class JudgeStage(EvaluatorStage):
         raise TypeError(f"{type(self).__name__} has no vocabulary; write its method vocabulary")
 
     def module(
-        self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+        self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> StageModule:
         """Attach the vocabulary."""
         model.attach(self.vocabulary(cfg))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.base import asked_for, given_run
@@ -34,7 +34,7 @@ class TokenizerStage(FittedStage):
         """Decoded motion is scored by itself."""
         return cfg.source in ("noise", "reconstruction")
 
-    def sketch(self, cfg: DictConfig) -> nn.Module:
+    def sketch(self, cfg: DictConfig) -> Any:
         """Build it without memory, or read the given one and hold it to the configuration's representation."""
         run = given_run(cfg, self)
         if run is None:
