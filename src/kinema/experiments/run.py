@@ -6,6 +6,7 @@ import shlex
 import time
 import traceback
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -90,10 +91,10 @@ def _made(cfg: DictConfig, needed: Stage, store: PackedStore, user: Stage) -> Ru
 def _follow(
     cfg: DictConfig, stage: Stage, store: PackedStore, folder: RunFolder, needs: dict[str, RunFolder]
 ) -> RunFolder:
-    """Train along on another rank: rank 0 holds the lock and writes everything."""
-    if not folder.done:
+    """Make the run along on another rank, or wait for it: rank 0 holds the lock and writes everything."""
+    if stage.on_all_ranks and not folder.done:
         stage.make(cfg, store, needs, folder)
-    for _ in range(WRITE_SECONDS * 10):
+    for _ in range(WRITE_SECONDS * 10) if stage.on_all_ranks else count():
         if folder.done:
             return folder
         time.sleep(0.1)

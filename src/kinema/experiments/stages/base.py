@@ -31,6 +31,7 @@ class Stage:
     `name` is the folder of its runs and what other runs' upstream.json call it; `node` its place in the configuration;
     `needs` the stages whose runs change its own, `reads` the further keys of the configuration that do; `needed_by`
     are stages that need this one without naming it, `companion_of` those whose users want its run beside theirs.
+    `on_all_ranks`: several processes make it together, and it is for the first to write.
     """
 
     name: ClassVar[str]
@@ -39,6 +40,7 @@ class Stage:
     needed_by: ClassVar[tuple[str, ...]] = ()
     companion_of: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
+    on_all_ranks: ClassVar[bool] = False
 
     def config(self, cfg: DictConfig) -> DictConfig | None:
         """Return the stage's own part of the configuration."""

@@ -28,6 +28,8 @@ PACE = ("validate_every", "checkpoint_every", "val_batches")
 class FittedStage(Stage):
     """Fit the `model` of the stage's node by the recipe in its `train`; a model without a recipe is only built."""
 
+    on_all_ranks = True
+
     def present(self, cfg: DictConfig) -> bool:
         """Say whether the configuration has a model for this stage."""
         return super().present(cfg) and self.config(cfg).model is not None

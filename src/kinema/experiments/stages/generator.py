@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
+from kinema.devices import find_device
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.base import asked_for
@@ -50,7 +51,7 @@ class GeneratorStage(ConditionedStage):
         """Attach what it has beside it in training already."""
         for name in model.parts:
             if name in needs:
-                model.attach(name, read_model(needs[name].path, name))
+                model.attach(name, read_model(needs[name].path, name).to(find_device(cfg.trainer.accelerator)))
         return super().module(cfg, model, recipe, store, needs)
 
     def callbacks(
