@@ -89,7 +89,8 @@ class StageModule(LightningModule):
     def configure_optimizers(self) -> dict[str, Any]:
         """Make the recipe's optimiser and its schedule by steps."""
         optimizer = self.recipe.optimizer(self.model.parameters())
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, self.recipe.factor)
+        # A function: of a bound method a checkpoint would hold the attributes.
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: self.recipe.factor(step))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def configure_gradient_clipping(self, optimizer: torch.optim.Optimizer, *_: Any, **__: Any) -> None:
