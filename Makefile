@@ -7,47 +7,65 @@ SCALE  ?= smoke
 LAUNCHER ?= none
 ARGS   ?=
 PY     := $(VENV)/bin/python
+KINEMA := $(VENV)/bin/kinema
+PIP    := $(PY) -m pip install --quiet --disable-pip-version-check
 STAMP  := $(VENV)/.installed
+DOCS   := $(VENV)/.docs
+TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
 
-.PHONY: install test lint bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
-install: $(STAMP)
+.PHONY: help install test lint docs bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
+
+# `target: needs  ## what it does` is what is listed; tables are listed by their titles.
+help:  ## list the targets
+	@sed -nE 's/^([a-z][a-z0-9-]*):.*  ## (.*)/\1\t\2/p' Makefile | while IFS="$$(printf '\t')" read -r name what; do \
+	  printf '  %-24s %s\n' "$$name" "$$what"; done
+	@for table in $(TABLES); do \
+	  printf '  %-24s %s\n' "reproduce-$$table" "$$(sed -n 's/^title: //p' conf/table/$$table.yaml)"; done
+	@echo 'Variables: DATA=$(DATA) SCALE=$(SCALE) LAUNCHER=$(LAUNCHER) ARGS= (any overrides) VENV=$(VENV) PYTHON=$(PYTHON)'
+
+install: $(STAMP)  ## make .venv with the locked versions and this package, editable
 
 # torch first and pinned: an open range would pull gigabytes of CUDA wheels onto a CPU machine.
-$(STAMP): pyproject.toml requirements.lock
+$(STAMP): pyproject.toml setup.py requirements.lock
 	test -x $(PY) || $(PYTHON) -m venv $(VENV)
-	$(PY) -m pip install --quiet --disable-pip-version-check "$$(grep '^torch==' requirements.lock)"
-	$(PY) -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(PIP) "$$(grep '^torch==' requirements.lock)"
+	$(PIP) -r requirements.lock
+	$(PIP) --no-deps --no-build-isolation -e .
 	touch $@
 
-test: $(STAMP)
+$(DOCS): $(STAMP) requirements-docs.lock
+	$(PIP) -r requirements-docs.lock
+	touch $@
+
+test: $(STAMP)  ## run the tests (ARGS="-k word", ARGS="-m 'not slow'")
 	$(PY) -m pytest $(ARGS)
 
-lint: $(STAMP)
+lint: $(STAMP)  ## check style and format
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-bench: $(STAMP)
+docs: $(DOCS)  ## build the documentation as a site, in site/; any warning fails
+	PATH="$(abspath $(VENV))/bin:$$PATH" NO_MKDOCS_2_WARNING=1 mkdocs build
+
+bench: $(STAMP)  ## run every benchmark
 	for script in benchmarks/*.py; do echo "== $$script"; $(PY) $$script || exit 1; done
 
-doctor: $(STAMP)
-	$(PY) -m kinema.experiments.doctor data=$(DATA) $(ARGS)
+doctor: $(STAMP)  ## examine the corpus DATA
+	$(KINEMA) doctor data=$(DATA) $(ARGS)
 
-# make reproduce-table5, ...: one file of conf/table each.
+# One file of conf/table each.
 reproduce-%: $(STAMP)
-	$(PY) -m kinema.experiments.reproduce $* data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(ARGS)
+	$(KINEMA) reproduce $* data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(ARGS)
 
-# Figure 2 of the BAD paper, drawn from the masks in use.
-reproduce-bad-figure2: $(STAMP)
-	$(PY) -m kinema.experiments.figures.bad_masks --out reports/bad-figure2
+reproduce-bad-figure2: $(STAMP)  ## draw Figure 2 of the BAD paper from the masks in use
+	$(KINEMA) figures bad_masks --out reports/bad-figure2
 
-reproduce-all: $(patsubst conf/table/%.yaml,reproduce-%,$(wildcard conf/table/*.yaml))
+reproduce-all: $(TABLES:%=reproduce-%)  ## reproduce every table
 
-# A motion from a sentence, with the generator of the last table at this scale.
-demo: reproduce-table5
-	$(VENV)/bin/kinema generate "a person waves with the left hand" \
-	  --run $$(dirname $$(ls -t runs/generator/mardm_sit-*/weights.safetensors | head -1)) --seconds 4 --out reports/demo.html
+demo: reproduce-table5  ## generate a motion from a sentence, with the generator of table5's last row
+	$(KINEMA) generate "a person waves with the left hand" \
+	  --run latest:mardm_sit --seconds 4 --out reports/demo.html
 
-clean-reports:
+clean-reports:  ## delete reports/ (runs, stores and cache are kept)
 	rm -rf reports

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -17,25 +18,28 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "atomic", "nn", "masking"}
+FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
-    # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so is `atomic`,
-    # which knows files and nothing else; text to generators that read strings and all behind; interop stands beside
-    # pipeline; report reads results only.
+    # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so are
+    # `atomic`, `locks`, `seeds` and `devices`, which know nothing else of kinema; text to generators that read strings
+    # and all behind; interop stands beside pipeline; report reads results only.
     "types": set(),
     "atomic": set(),
+    "locks": set(),
+    "seeds": set(),
+    "devices": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
     "motion": {"types", "atomic"},
-    "data": {"types", "atomic", "motion"},
-    "text": {"types", "atomic"},
+    "data": {"types", "atomic", "locks", "seeds", "motion"},
+    "text": {"types", "atomic", "locks", "seeds"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
     "generators": {*MODEL, "text", "tokenizers"},
-    "runs": {"atomic"},
+    "runs": {"atomic", "locks"},
     "report": {"types", "atomic", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}
@@ -72,6 +76,32 @@ def test_a_part_imports_what_lies_left_of_it(module):
     assert not strays, f"{module} imports {', '.join(sorted(strays))}"
 
 
+def loads(file: Path) -> set[str]:
+    """Give the modules of kinema whose code must have run before that of a file: its imports outside functions."""
+    found, waiting = set(), list(ast.parse(file.read_text()).body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            inner = {alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in MODULES else node.module for name in inner.values()}
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) and not for_types_only(node):
+            waiting += ast.iter_child_nodes(node)
+    return found & MODULES.keys()
+
+
+def for_types_only(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+
+
+def test_imports_make_no_cycle():
+    graph = {module: loads(file) for module, file in MODULES.items()}
+    assert sum(map(len, graph.values())) > len(graph)
+    assert graph["kinema.text.encoders"] >= {"kinema.text.clip", "kinema.text.hashed"}
+    TopologicalSorter(graph).prepare()  # raises CycleError, which names the modules
+
+
 @pytest.mark.parametrize(
     ("library", "where"),
     [
@@ -85,6 +115,11 @@ def test_frameworks_stay_in_their_rooms(library, where):
             assert module.startswith(where), f"{module} imports {library[0]}"
 
 
+def test_every_folder_is_a_package():
+    """A folder without __init__.py (one that git ignores, say) would miss a room and its docstring."""
+    assert {file.parent for file in PACKAGE.rglob("*.py")} == {file.parent for file in PACKAGE.rglob("__init__.py")}
+
+
 def test_files_are_short():
     files = [*ROOT.glob("*.py"), *ROOT.glob("src/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("benchmarks/*.py")]
     lengths = {str(f.relative_to(ROOT)): len(f.read_text().splitlines()) for f in files}
@@ -94,8 +129,8 @@ def test_files_are_short():
 
 @pytest.mark.parametrize(
     "command",
-    [["train.py"], ["evaluate.py"], ["-m", "kinema.cli"]],
-    ids=["train", "evaluate", "kinema"],
+    [["train.py"], ["evaluate.py"], *(["-m", "kinema.cli", *words] for words in ([], ["train"], ["evaluate"]))],
+    ids=["train.py", "evaluate.py", "kinema", "kinema train", "kinema evaluate"],
 )
 def test_help_imports_neither_torch_nor_lightning(command):
     done = subprocess.run(

@@ -153,6 +153,39 @@ def test_doctor_examines_what_prepare_wrote(tmp_path, capsys):
     fails(capsys, ["doctor", str(tmp_path / "nowhere")], "nowhere")
 
 
+def test_doctor_examines_the_corpus_that_overrides_name(tmp_path, capsys):
+    words = ["data=synthetic", "data.options.size=12", f"paths.stores={tmp_path}"]
+    assert cli.main(["doctor", *words]) == 0
+    assert "doctor: " in capsys.readouterr().out
+    fails(capsys, ["doctor", str(tmp_path), "data=synthetic"], "doctor takes one path, or KEY=VALUE overrides")
+
+
+def test_hydra_reads_the_words_behind_the_command_and_lightning_all(monkeypatch):
+    """Processes of further devices are started with what sys.argv was, so the job has to see it whole."""
+    seen = []
+    monkeypatch.setattr("kinema.experiments.run.run_stage", lambda cfg, stage: seen.append((stage, cfg.seed, sys.argv)))
+    words = ["kinema", "train", "stage=tokenizer", "seed=3"]
+    monkeypatch.setattr(sys, "argv", words)
+    assert cli.main() == 0
+    assert seen == [("tokenizer", 3, words)]
+    assert sys.argv == words
+
+
+def test_info_without_a_run_says_what_a_bug_report_needs(capsys):
+    assert cli.main(["info"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["kinema"] == __version__
+    assert {"python", "torch", "system"} <= set(said)
+
+
+def test_figures_are_named(capsys):
+    with pytest.raises(SystemExit, match="no figure table5; choose one of bad_masks, code_usage"):
+        cli.main(["figures", "table5"])
+    with pytest.raises(SystemExit):
+        cli.main(["figures", "code_usage", "--help"])
+    assert "usage: kinema figures code_usage" in capsys.readouterr().out
+
+
 def test_errors_are_one_line_and_exit_with_2(run, capsys):
     make = ["generate", "a person walks", "--run", str(run), "--out", "a.npz"]
     fails(capsys, make, "no length: give frames= or seconds=")
@@ -162,7 +195,7 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
     fails(capsys, [*make[:-1], "a.gif", "--frames", "8"], "--out a.gif has no known suffix; choose one of .html")
     fails(capsys, ["generate", " ", "--run", str(run), "--out", "a.npz", "--frames", "8"], "text 0 is empty")
     fails(capsys, ["generate", "x", "--run", "runs/none", "--out", "a.npz"], "no run folder at runs/none")
-    fails(capsys, ["generate", "x", "--run", "runs/ae", "--out", "a.npz"], "give the run folder of a generator")
+    fails(capsys, ["generate", "x", "--run", "runs/ae", "--out", "a.npz"], "give the folder of a 'generator' run")
     fails(
         capsys,
         ["generate", "x", "--run", str(run), "--out", "a.npz", "--device", "nothing:0"],

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hydra.errors import HydraException
 
 from kinema import cli
+from kinema.atomic import write_json
 from kinema.experiments.config import CONF, compose
 from kinema.motion.statistics import Statistics
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.parts import write_json
+from kinema.runs.folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
-PAGES = [ROOT / "README.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
 SPECS = sorted((ROOT / "docs" / "specs").glob("*.md"))  # their references and options: test_spec_references.py
 SHELL = ("export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail")
 """Commands that are not ours to check."""
@@ -68,7 +68,14 @@ def test_commands_exist(words):
 
 
 def check_kinema(words):
-    if words != ["--version"]:
+    if words[0] in ("train", "evaluate"):
+        check_hydra(words[0], words[1:])
+    elif words[0] == "reproduce":
+        assert (CONF / "table" / f"{words[1]}.yaml").exists()
+        check_overrides([w for w in words[2:] if "=" in w], "evaluate")
+    elif words[0] == "figures":
+        assert importlib.util.find_spec(f"kinema.experiments.figures.{words[1]}")
+    elif words != ["--version"]:
         cli._parser().parse_args(words)
 
 
@@ -87,20 +94,17 @@ def check_make(words):
 
 
 def check_python(words):
-    if words[0] == "-m":
-        module, table, *overrides = words[1:]
-        if module in ("kinema.experiments.figures.bad_masks", "kinema.experiments.figures.code_usage"):
-            assert importlib.util.find_spec(module)
-            return
-        assert module == "kinema.experiments.reproduce"
-        assert (CONF / "table" / f"{table}.yaml").exists()
-        check_overrides([o for o in overrides if "=" in o], "evaluate")
-    else:
-        assert (ROOT / words[0]).exists()
-        if words[0] in ("train.py", "evaluate.py"):
-            flags = [w for w in words[1:] if w.startswith("-")]
-            assert set(flags) <= {"-m", "--cfg"}
-            check_overrides([w for w in words[1:] if "=" in w], words[0].removesuffix(".py"))
+    assert (ROOT / words[0]).exists()
+    if words[0] in ("train.py", "evaluate.py"):
+        check_hydra(words[0].removesuffix(".py"), words[1:])
+
+
+def check_hydra(config, words):
+    flags = {w for w in words if w.startswith("-")}
+    assert flags <= {"-m", "--cfg", "--resolve", "--config-dir"}
+    if "--config-dir" in flags:  # its files are the page's: tests/configs/test_scales.py
+        return
+    check_overrides([w for w in words if "=" in w], config)
 
 
 def check_overrides(overrides, config):
@@ -130,7 +134,7 @@ def composes_for_some_method(override):
     for method in METHODS:
         try:
             compose([f"method={method}", override], "evaluate")
-        except HydraException:
+        except ValueError:
             continue
         return True
     return False
@@ -169,8 +173,9 @@ def checkout(tmp_path, monkeypatch):
         module = build(spec)
         if stage == "tokenizer":
             module.representation.fit(Statistics(np.zeros(67), np.full(67, 0.05)))
-        artifacts.save(module, spec, tmp_path / "runs" / stage / name / "weights.safetensors")
+        weights.save(module, spec, tmp_path / "runs" / stage / name / "weights.safetensors", part=stage)
     folder = tmp_path / "runs" / "generator" / "mardm_sit-essential-s0-0"
+    RunFolder(folder).mark("done")
     write_json(folder / "upstream.json", {"tokenizer": "../../tokenizer/ae"})
     write_json(folder / "text.json", {"encoder": "hashed", "path": None})
     monkeypatch.chdir(tmp_path)

@@ -86,9 +86,14 @@ class Latents(_Movable):
             raise ValueError("these latents hold neither values nor codes; give one of them")
         return held
 
-    def with_content(self, content: Float[Tensor, "b n c"] | Int[Tensor, "b n q"]) -> Latents:
-        """Return the same lengths with other values or codes."""
-        return replace(self, **{"values" if self.codes is None else "codes": content})
+    def holding(
+        self,
+        content: Float[Tensor, "b2 n2 c"] | Int[Tensor, "b2 n2 q"],
+        lengths: Int[Tensor, " b2"],
+        frames: Int[Tensor, " b2"],
+    ) -> Latents:
+        """Return latents of the same kind, values or codes, with other content."""
+        return Latents(lengths, frames, **{"values" if self.codes is None else "codes": content})
 
 
 Count = TypeVar("Count", int, Int[Tensor, " b"])

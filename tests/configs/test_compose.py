@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
@@ -19,7 +20,7 @@ from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS
 
 MODELS = ("tokenizer", "generator", "residual", "length")
-ELSEWHERE = ("table", "hydra", "method", "scale")
+ELSEWHERE = ("table", "hydra", "method", "scale", "budget", "recipe")
 """No groups, or composed by a test of their own."""
 GROUPS = {
     group.name: sorted(file.stem for file in group.glob("*.yaml"))
@@ -71,12 +72,13 @@ def fitting(group: str, option: str) -> list[str]:
     return [f"method={methods[0]}"] if methods else []
 
 
+@pytest.mark.parametrize("scale", ["smoke", "tiny", "paper"])
 @pytest.mark.parametrize("row", range(max(len(GROUPS[group]) for group in REST)))
-def test_every_option_composes_and_resolves(row):
+def test_every_option_composes_and_resolves(row, scale):
     """Take the groups' options side by side, those of short lists several times."""
     choice = {group: GROUPS[group][row % len(GROUPS[group])] for group in REST}
     source = ["data.source=somewhere"] if choice["data"] == "custom" else []
-    config = resolved(*(f"{group}={option}" for group, option in choice.items()), *source)
+    config = resolved(*(f"{group}={option}" for group, option in choice.items()), *source, f"scale={scale}")
     assert config["text"]["name"] == choice["text"]
 
 
@@ -100,6 +102,9 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
     if "residual" in models:
         models["generator"].attach("residual", models["residual"])
     assert type(build(plain(cfg.generator.sampling))) is type(models["generator"].sampling)
+    printed = deepcopy(cfg)
+    OmegaConf.resolve(printed)  # as `--cfg job --resolve` does, in place
+    assert "${" not in OmegaConf.to_yaml(printed)
 
 
 # Parameters at paper scale, counted from STATE_DICTS' shapes (millions there, codebooks and CLIP excluded). Published

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from kinema.experiments.config import CONF
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.tokenizers import MotionTokenizer
+from kinema.types import MotionBatch
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))
 DIMS = ("essential", "redundant", "published")
@@ -47,7 +46,7 @@ def test_it_decodes_what_it_encodes_and_padding_changes_nothing(workshop, name):
     assert not decoded.features[~decoded.mask].any()
     row = int(batch.lengths.argmin())
     frames = int(batch.lengths[row])
-    alone = replace(batch, features=batch.features[row : row + 1, :frames], lengths=batch.lengths[row : row + 1])
+    alone = MotionBatch(batch.features[row : row + 1, :frames], batch.lengths[row : row + 1])
     own = model.encode(alone)
     if latents.codes is None:
         torch.testing.assert_close(own.values[0], latents.values[row, : own.values.shape[1]], rtol=1e-4, atol=1e-4)
@@ -63,8 +62,8 @@ def test_it_decodes_what_it_encodes_and_padding_changes_nothing(workshop, name):
 @pytest.mark.parametrize("name", TOKENIZERS)
 def test_it_comes_back_from_a_file(workshop, name, tmp_path):
     model = parts(workshop, name)
-    path = artifacts.save(model, model.spec, tmp_path / "weights.safetensors")
-    loaded, _ = artifacts.load(path)
+    path = weights.save(model, model.spec, tmp_path / "weights.safetensors")
+    loaded, _ = weights.load(path)
     batch = workshop.clips()
     ours, theirs = (m.decode(m.encode(batch)).features for m in (model, loaded))
     assert torch.equal(ours, theirs)

@@ -207,10 +207,10 @@ def test_full_disk_leaves_nothing_and_says_how_much_is_needed(joints_corpus, tmp
 
 def test_remains_of_a_killed_process_are_replaced(joints_corpus, tmp_path):
     catalog = read_joints_folder(joints_corpus({"a": ("train", 50)}))
-    (tmp_path / "out.partial").mkdir()
-    (tmp_path / "out.partial" / "features.f32").write_bytes(b"half")
+    (tmp_path / ".out-partial").mkdir()
+    (tmp_path / ".out-partial" / "features.f32").write_bytes(b"half")
     assert PackedStore.open(prepare(catalog, tmp_path / "out", name="x")).verify() == []
-    assert not (tmp_path / "out.partial").exists()
+    assert not (tmp_path / ".out-partial").exists()
 
 
 def test_another_corpus_is_not_overwritten(joints_corpus, tmp_path):

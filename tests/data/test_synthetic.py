@@ -303,7 +303,7 @@ def test_a_folder_is_written_whole_or_not_at_all(tmp_path):
         write_joints_folder([*clips[:-1], broken], tmp_path / "corpus")
     assert list(tmp_path.iterdir()) == []
     write_joints_folder(clips, tmp_path / "corpus")
-    with pytest.raises(ValueError, match="exists already"):
+    with pytest.raises(ValueError, match="exists; choose another"):
         write_joints_folder(clips, tmp_path / "corpus")
 
 

@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from kinema.evaluation.metrics import FrechetDistance, Retrieval
-from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication, sample_seeds
+from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication
 from kinema.evaluation.sources import RealMotion, ShuffledCaptions, answer
+from kinema.seeds import protocol_seeds
 
 SMALL = EvaluationProtocol(pool=8, mm_texts=12, mm_repeats=5, mm_pairs=2, diversity_pairs=20)
 
@@ -60,7 +61,7 @@ def test_numbers_are_those_of_the_metrics_on_plain_embeddings(make):
     source, model = Noisy(), make.matching().eval()
     retrieval, fid, first = Retrieval(8), FrechetDistance(8), 0
     for real in batches(make):
-        made = source(real, sample_seeds(0, 3, first, 8))
+        made = source(real, protocol_seeds(0, 3, first, 8))
         retrieval.update(model.embed_text(real.captions), model.embed_motion(made))
         fid.update(model.embed_motion(real), model.embed_motion(made))
         first += 8
@@ -100,9 +101,9 @@ def test_replications_differ_and_repeat_exactly(make):
     one, again, other = (run(make, Noisy(), replication=r).metrics for r in (0, 0, 1))
     assert one == again
     assert one["mpjpe_mm"] != other["mpjpe_mm"]
-    seeds = torch.cat([sample_seeds(0, r, first, 8, k) for r in (0, 1) for first in (0, 8) for k in (0, 1)])
+    seeds = torch.cat([protocol_seeds(0, r, first, 8, k) for r in (0, 1) for first in (0, 8) for k in (0, 1)])
     assert len(set(seeds.tolist())) == 64
-    assert torch.equal(sample_seeds(0, 1, 4, 2), sample_seeds(0, 1, 0, 6)[4:])
+    assert torch.equal(protocol_seeds(0, 1, 4, 2), protocol_seeds(0, 1, 0, 6)[4:])
 
 
 @pytest.mark.parametrize(("leftover", "counted", "rows"), [("drop", 16, 16), ("keep", 19, 19), ("mld", 16, 19)])

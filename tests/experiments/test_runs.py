@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -14,8 +13,10 @@ import pytest
 from kinema.experiments import training
 from kinema.experiments.config import compose
 from kinema.experiments.run import run_stage
-from kinema.runs import folder as runs
-from kinema.runs.folder import RunFolder, append_line, console, read_lines, write_json
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
+from kinema.runs.lines import append_line, read_lines
+from kinema.runs.parts import upstream
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -56,7 +57,7 @@ def test_a_run_holds_its_record(micro):
     assert {"python", "torch", "lightning", "kinema"} <= status["versions"].keys()
     assert "scale" in (run.path / "config.yaml").read_text()
     assert "hydra" not in (run.path / "config.yaml").read_text().split()
-    tokenizer = runs.upstream(run.path)["tokenizer"]
+    tokenizer = upstream(run.path)["tokenizer"]
     assert RunFolder(tokenizer).done
     assert [line["step"] for line in read_lines(run.path / "metrics.jsonl") if "val/loss" in line] == [8, 16, 24]
     assert not list((run.path / "checkpoints").iterdir())
@@ -64,7 +65,7 @@ def test_a_run_holds_its_record(micro):
 
 def test_what_is_missing_is_named_with_its_command(overrides, fake_training):
     cfg = compose([*overrides, "ensure=false"])
-    with pytest.raises(FileNotFoundError, match=r"`python train\.py stage=tokenizer .*data=synthetic.*` or set ensure"):
+    with pytest.raises(FileNotFoundError, match=r"`kinema train stage=tokenizer .*data=synthetic.*` or set ensure"):
         run_stage(cfg, "generator")
     assert not fake_training
     for stage in ("tokenizer", "length", "generator"):
@@ -160,14 +161,6 @@ def test_a_damaged_status_is_named(tmp_path):
     (tmp_path / "status.json").write_text('{"state": "do')
     with pytest.raises(ValueError, match=r"status\.json is damaged .*delete this run folder"):
         _ = RunFolder(tmp_path).status
-
-
-def test_json_that_cannot_be_written_leaves_the_old_file(tmp_path):
-    write_json(tmp_path / "a.json", {"a": 1})
-    with pytest.raises(TypeError):
-        write_json(tmp_path / "a.json", {"a": object()})
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": 1}
-    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 
 def test_a_torn_line_is_named_and_swallows_no_other(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from kinema.experiments import evaluation, reproduce, tables
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
-from kinema.experiments.reproduce import make_command, missing_work
+from kinema.experiments.reproduce import missing_work
 from kinema.experiments.tables import load_table, plan, render_table
 
 FILES = ("table.md", "table.csv", "table.tex", "index.html")
@@ -137,7 +137,7 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro, tmp_pat
 @pytest.mark.slow
 def test_a_sweep_whose_job_fails_fails(micro, tmp_path):
     wrong = [*micro, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
-    with pytest.raises(OSError, match=r"train\.py -m .* failed \(see above\)"):
+    with pytest.raises(OSError, match=r"kinema train -m .* failed \(see above\)"):
         reproduce.reproduce("table5", wrong, out=tmp_path / "report")
     assert not (tmp_path / "report").exists()
 
@@ -173,15 +173,6 @@ def test_the_work_makes_every_row_where_the_table_looks_for_it(name, micro, tmp_
                 chosen = [*overrides, *described.get("overrides", []), *combination]
                 made.add(evaluation.describe(compose(chosen, "evaluate")).folder.path)
     assert made == {row.place.folder.path for row in rows if row.place}
-
-
-def test_the_command_of_a_table_can_be_typed():
-    assert make_command("table5", ["data=open_mocap", "scale=tiny"]) == (
-        "make reproduce-table5 DATA=open_mocap SCALE=tiny"
-    )
-    assert make_command("table5", ["scale=tiny", "seed=1", "text=hashed"]) == (
-        "make reproduce-table5 SCALE=tiny ARGS='seed=1 text=hashed'"
-    )
 
 
 def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):

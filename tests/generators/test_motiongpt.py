@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 
 from kinema.generators.motiongpt.model import MotionGPT, MotionGPTSampling
 from kinema.nn import ranks
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 transformers = pytest.importorskip("transformers", reason="transformers is not installed: pip install 'kinema[text]'")
@@ -338,10 +338,10 @@ def test_a_saved_model_gives_the_same_tokens_without_its_files(flan, tmp_path):
     torch.manual_seed(0)
     model = MotionGPT(**arguments(folder, weights=str(folder))).eval()
     model.load_pretrained()
-    artifacts.save(model, spec, tmp_path / "weights.safetensors")
+    weights.save(model, spec, tmp_path / "weights.safetensors")
     for file in folder.iterdir():
         file.unlink()
-    loaded, _ = artifacts.load(tmp_path / "weights.safetensors")
+    loaded, _ = weights.load(tmp_path / "weights.safetensors")
     for frames in (FRAMES, None):
         expected, found = (m.sample(text(), frames, seeds=SEEDS) for m in (model, loaded))
         assert torch.equal(found.codes, expected.codes)

@@ -18,7 +18,7 @@ from kinema.data.synthetic.folders import write_joints_folder
 from kinema.experiments.config import compose
 from kinema.experiments.run import run_stage
 from kinema.pipeline import TextToMotion
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.folder import RunFolder
 from kinema.training.checkpoint import AtomicCheckpointIO
 
@@ -92,7 +92,7 @@ def test_wrong_evaluations_are_named(refused, tmp_path):
     assert "source='gen' is unknown; allowed: real, shuffled" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
-    assert "train it with `python train.py stage=matching data=synthetic" in message
+    assert "train it with `kinema train stage=matching data=synthetic" in message
     assert not (tmp_path / "runs" / "matching").exists()
 
 
@@ -135,7 +135,7 @@ def test_a_damaged_corpus_is_named(refused, corpus, damage, words, tmp_path):
     for word in words:
         assert word in message, message
     assert not (tmp_path / "runs" / "tokenizer").exists()
-    assert not list((tmp_path / "stores").glob("*.partial"))
+    assert not list((tmp_path / "stores").glob("*-partial"))
 
 
 def test_unfit_clips_are_left_out_and_told(corpus, overrides, tmp_path, capsys):
@@ -239,7 +239,7 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path, monkeypatch):
         ):
             AtomicCheckpointIO().save_checkpoint({"step": 2}, path)
         with pytest.raises(OSError, match="free disk space"):
-            artifacts.save(torch.nn.Linear(1, 1), {"_target_": "kinema.x"}, tmp_path / "weights.safetensors")
+            weights.save(torch.nn.Linear(1, 1), {"_target_": "kinema.x"}, tmp_path / "weights.safetensors")
     assert AtomicCheckpointIO().load_checkpoint(path) == {"step": 1}
     assert [p.name for p in tmp_path.iterdir()] == ["last.ckpt"]
 

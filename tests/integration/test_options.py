@@ -13,8 +13,8 @@ from safetensors.torch import load_file
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
-from kinema.runs import weights as artifacts
-from kinema.runs.folder import read_lines
+from kinema.runs.lines import read_lines
+from kinema.runs.weights import load, read_meta
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 BRIEF = [
@@ -105,11 +105,11 @@ def test_kit_goes_all_the_way(brief):
     assert metrics["fid"] > 0
     row = describe(compose([*kit, "source=generation"], "evaluate"))
     for name, width in (("matching", 64), ("generator", None)):
-        meta = artifacts.read_meta(row.runs[name] / "weights.safetensors")
-        assert width is None or artifacts.load(row.runs[name] / "weights.safetensors")[0].representation.width == width
-        assert meta["stage"] == name
+        meta = read_meta(row.runs[name] / "weights.safetensors")
+        assert width is None or load(row.runs[name] / "weights.safetensors")[0].representation.width == width
+        assert meta["part"] == name
     redundant = run_stage(compose([*kit, "representation=redundant"]), "tokenizer")
-    assert artifacts.load(redundant.weights)[0].representation.width == 251
+    assert load(redundant.weights)[0].representation.width == 251
 
 
 def test_redundant_motion_is_judged_on_essential_dims(brief):
@@ -117,9 +117,9 @@ def test_redundant_motion_is_judged_on_essential_dims(brief):
     cfg = compose([*redundant, "source=generation"], "evaluate")
     judged(cfg)
     row = describe(cfg)
-    assert artifacts.load(row.runs["matching"] / "weights.safetensors")[0].representation.width == 67
+    assert load(row.runs["matching"] / "weights.safetensors")[0].representation.width == 67
     tokenizer = run_stage(compose(redundant), "tokenizer")
-    assert artifacts.load(tokenizer.weights)[0].representation.width == 263
+    assert load(tokenizer.weights)[0].representation.width == 263
     assert row.folder.path.name.startswith("generation-mardm_sit-redundant-s0-")
     identity = row.lines[0]["provenance"]["statistics"]["evaluator"]
     assert identity["kind"] == "essential"

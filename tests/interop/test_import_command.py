@@ -17,9 +17,9 @@ from kinema.generators.momask.model import MoMask
 from kinema.interop import bamm, mmm, momask, momask_residual
 from kinema.motion.formats.arrays import load_npz
 from kinema.pipeline import TextToMotion
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.parts import read_json
+from kinema.runs.folder import read_json
 
 GOLDEN = {
     # name: kind, golden file, prefix of its state dict, wrapper of the published file
@@ -111,11 +111,11 @@ def test_a_residual_transformer_completes_the_codes(golden_import):
 
 @pytest.mark.parametrize("name", ["t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq"])
 def test_shipped_deviations_are_not_divided_again(golden_import, name):
-    std = artifacts.load(f"{golden_import(name)}/{artifacts.WEIGHTS}")[0].representation.std
+    std = weights.load(f"{golden_import(name)}/weights.safetensors")[0].representation.std
     assert std[[0, 3, -1]].tolist() == pytest.approx([0.1 / 25] * 3)
     assert std[10] == pytest.approx(0.1)
     shutil.rmtree(f"runs/{name}")
-    std = artifacts.load(f"{golden_import(name, '--set', 'variant=raw')}/{artifacts.WEIGHTS}")[0].representation.std
+    std = weights.load(f"{golden_import(name, '--set', 'variant=raw')}/weights.safetensors")[0].representation.std
     assert std.unique().tolist() == pytest.approx([0.1])
 
 
@@ -164,9 +164,9 @@ def parts(tmp_path, monkeypatch):
     torch.manual_seed(0)
     for name, spec in RUNS.items():
         part = {"rvq": "tokenizer", "vq": "tokenizer"}.get(name, name.rstrip("0123456789"))
-        artifacts.save(build(spec), spec, tmp_path / "runs" / name / artifacts.WEIGHTS, part=part)
+        weights.save(build(spec), spec, tmp_path / "runs" / name / "weights.safetensors", part=part)
     own, other = (MMM(**SIZES, token_dim=7, cross_layers=1, base_layers=1, head_layers=1) for _ in "ab")
-    own.set_codebook(artifacts.load(f"runs/vq/{artifacts.WEIGHTS}")[0].codebook)
+    own.set_codebook(weights.load("runs/vq/weights.safetensors")[0].codebook)
     other.set_codebook(torch.randn(11, 5))
     files = {
         "momask.tar": {"t2m_transformer": momask.export(MoMask(**POST))},

@@ -13,7 +13,7 @@ from safetensors.torch import save_file
 from kinema import interop
 from kinema.interop.checkpoint import read_checkpoint, unwrap
 from kinema.motion.statistics import Statistics
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.types import MotionBatch
 
 
@@ -64,8 +64,8 @@ def test_every_wrapper_and_format_gives_the_same_module(published, tmp_path):
 def test_an_imported_module_survives_as_an_artifact(published, tmp_path):
     statistics = Statistics(np.zeros(67), np.full(67, 2.0))
     module = interop.load("mardm-ae", published, statistics=statistics)
-    artifacts.save(module, module.spec, tmp_path / "weights.safetensors")
-    again, _ = artifacts.load(tmp_path / "weights.safetensors")
+    weights.save(module, module.spec, tmp_path / "weights.safetensors")
+    again, _ = weights.load(tmp_path / "weights.safetensors")
     motion = MotionBatch(torch.randn(1, 16, 67), torch.tensor([16]))
     assert torch.equal(again.encode(motion).values, module.encode(motion).values)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.atomic import write_json
 from kinema.motion.statistics import Statistics
 from kinema.pipeline import TextToMotion
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.parts import write_json
 from kinema.text.encoders import build_text_encoder
 
 TOKENIZER = {
@@ -78,7 +78,7 @@ def model(parts) -> TextToMotion:
 def run(parts, tmp_path):
     """Give a generator's run folder as training leaves it, beside its tokenizer's and length estimator's."""
     for name, module in zip(("tokenizer", "generator", "length"), parts, strict=True):
-        artifacts.save(module, module.spec, tmp_path / "runs" / name / "weights.safetensors", part=name)
+        weights.save(module, module.spec, tmp_path / "runs" / name / "weights.safetensors", part=name)
         write_json(tmp_path / "runs" / name / "status.json", {"state": "done"})
     folder = tmp_path / "runs" / "generator"
     write_json(folder / "upstream.json", {"tokenizer": "../tokenizer"})

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.devices import find_device
 from kinema.motion.recovery import recover_joints
-from kinema.pipeline.arguments import sample_seeds
-from kinema.pipeline.text_to_motion import TextToMotion, best_device
+from kinema.pipeline.text_to_motion import TextToMotion
+from kinema.seeds import request_seeds
 
 TEXTS = ["a person walks", "a man jumps twice", "someone waves"]
 CLOSE = {"rtol": 1e-4, "atol": 1e-4}
@@ -48,11 +49,11 @@ def test_a_motions_own_seed_repeats_it_alone(model):
 
 
 def test_seeds_differ_and_the_global_state_is_left_alone(model):
-    seeds = sample_seeds(7, 1000)
+    seeds = request_seeds(7, 1000)
     assert seeds[0] == 7
     assert len(set(seeds)) == 1000
-    assert sample_seeds(7, 3) == seeds[:3]
-    assert sample_seeds(None, 1) != sample_seeds(None, 1)
+    assert request_seeds(7, 3) == seeds[:3]
+    assert request_seeds(None, 1) != request_seeds(None, 1)
     state = torch.get_rng_state()
     model.generate("a person walks", 16, seed=1)
     assert torch.equal(torch.get_rng_state(), state)
@@ -111,5 +112,5 @@ def test_a_model_in_training_stays_in_training(model):
 
 
 def test_a_device_is_chosen(model):
-    assert model.to(best_device()).device.type == best_device().type
+    assert model.to(find_device()).device.type == find_device().type
     model.to("cpu")

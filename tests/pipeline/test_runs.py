@@ -1,4 +1,4 @@
-"""Run folders and artifacts come back bit-equal, whole or not at all, and say what is wrong with them."""
+"""Run folders and weights come back bit-equal, whole or not at all, and say what is wrong with them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
+from kinema.atomic import write_json
 from kinema.pipeline import TextToMotion
-from kinema.runs import weights as artifacts
-from kinema.runs.parts import write_json
+from kinema.runs import weights
 
 
 def tokenizer_of(parts):
@@ -22,17 +22,17 @@ def tokenizer_of(parts):
 
 def test_an_artifact_comes_back_bit_equal(parts, tmp_path):
     module, spec = tokenizer_of(parts)
-    file = artifacts.save(module, spec, tmp_path / "deep" / "weights.safetensors", stage="tokenizer", step=3)
+    file = weights.save(module, spec, tmp_path / "deep" / "weights.safetensors", part="tokenizer", step=3)
     state = torch.get_rng_state()
-    again, meta = artifacts.load(file)
+    again, meta = weights.load(file)
     assert torch.equal(torch.get_rng_state(), state)
-    assert (meta["stage"], meta["step"], meta["spec"]) == ("tokenizer", 3, spec)
+    assert (meta["part"], meta["step"], meta["spec"]) == ("tokenizer", 3, spec)
     assert again.spec == spec
     assert not again.training
     for key, value in module.state_dict().items():
         assert torch.equal(again.state_dict()[key], value), key
-    assert artifacts.read_meta(file) == meta
-    copy = artifacts.save(again, spec, tmp_path / "copy.safetensors", stage="tokenizer", step=3)
+    assert weights.read_meta(file) == meta
+    copy = weights.save(again, spec, tmp_path / "copy.safetensors", part="tokenizer", step=3)
     assert copy.read_bytes() == file.read_bytes()
 
 
@@ -49,7 +49,7 @@ class Tied(nn.Module):
 
 
 def test_shared_and_strided_tensors_are_written(tmp_path):
-    file = artifacts.save(Tied(), {"_target_": "kinema.x.Y"}, tmp_path / "weights.safetensors")
+    file = weights.save(Tied(), {"_target_": "kinema.x.Y"}, tmp_path / "weights.safetensors")
     from safetensors.torch import load_file
 
     state = load_file(file)
@@ -60,18 +60,18 @@ def test_shared_and_strided_tensors_are_written(tmp_path):
 
 def test_damaged_and_foreign_files_are_named(parts, tmp_path):
     module, spec = tokenizer_of(parts)
-    file = artifacts.save(module, spec, tmp_path / "weights.safetensors")
+    file = weights.save(module, spec, tmp_path / "weights.safetensors")
     whole = file.read_bytes()
     for kept in (0, 5, 100, len(whole) - 1):
         file.write_bytes(whole[:kept])
-        for read in (artifacts.load, artifacts.read_meta):
+        for read in (weights.load, weights.read_meta):
             with pytest.raises(ValueError, match=r"weights\.safetensors cannot be read"):
                 read(file)
     save_file({"a": torch.zeros(1)}, file)
     with pytest.raises(ValueError, match=r"was not written by kinema.*kinema import"):
-        artifacts.load(file)
+        weights.load(file)
     with pytest.raises(FileNotFoundError, match="no weights at"):
-        artifacts.load(tmp_path / "none.safetensors")
+        weights.load(tmp_path / "none.safetensors")
 
 
 @pytest.mark.parametrize(
@@ -85,27 +85,27 @@ def test_damaged_and_foreign_files_are_named(parts, tmp_path):
 )
 def test_a_spec_that_does_not_fit_its_weights_is_named(parts, tmp_path, change, message):
     module, spec = tokenizer_of(parts)
-    file = artifacts.save(module, {**spec, **change}, tmp_path / "weights.safetensors")
+    file = weights.save(module, {**spec, **change}, tmp_path / "weights.safetensors")
     with pytest.raises(ValueError, match=message):
-        artifacts.load(file)
+        weights.load(file)
 
 
 def test_a_spec_must_be_plain(parts, tmp_path):
     with pytest.raises(ValueError, match="must be plain"):
-        artifacts.save(parts[0], {"representation": parts[0].representation}, tmp_path / "weights.safetensors")
+        weights.save(parts[0], {"representation": parts[0].representation}, tmp_path / "weights.safetensors")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_write_that_fails_leaves_the_old_file(parts, tmp_path):
     resource = pytest.importorskip("resource")
     module, spec = tokenizer_of(parts)
-    file = artifacts.save(module, spec, tmp_path / "weights.safetensors")
+    file = weights.save(module, spec, tmp_path / "weights.safetensors")
     before = file.read_bytes()
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) // 2, limits[1]))
     try:
         with pytest.raises(OSError, match=r"could not write .*weights\.safetensors: .*free disk space"):
-            artifacts.save(module, spec, file)
+            weights.save(module, spec, file)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert file.read_bytes() == before
@@ -158,7 +158,7 @@ def test_unfit_run_folders_are_named(run):
 
 def test_another_text_encoder_than_in_training_is_refused(parts, run):
     generator = parts[1]
-    artifacts.save(generator, generator.spec, run / "weights.safetensors", part="generator", text="clip_b32-abc")
+    weights.save(generator, generator.spec, run / "weights.safetensors", part="generator", text="clip_b32-abc")
     with pytest.raises(ValueError, match="was trained with the text encoder clip_b32-abc, this one is hashed-64"):
         TextToMotion.from_run(run, "cpu")
     assert json.loads((run / "text.json").read_text())["encoder"] == "hashed"

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 from kinema.text import vip
-from kinema.text.parquet import read_strings, snappy_decompress
 from kinema.text.unpickle import load_plain
 from kinema.text.vip import POS, pos_index, sentence, tag_words
 from kinema.text.words import word_vectors
@@ -202,19 +201,3 @@ def test_tokens_and_classes_equal_the_published_dataset(golden_file, tmp_path):
     for word, tag in (("left", "ADV"), ("person", "NOUN"), ("walk", "VERB"), ("whole", "OTHER"), ("zzz", "NOUN")):
         _, pos, _ = words([Caption(word, (f"{word}/{tag}",))])
         np.testing.assert_array_equal(pos[0, 1].numpy(), tensors[f"glove.{word}"][300:])
-
-
-def test_snappy_copies_may_overlap_what_they_write():
-    literal = b"\x0a\x04ab"  # ten bytes in all, the first two as they are
-    assert snappy_decompress(literal + b"\x11\x02") == b"ab" * 5
-    assert snappy_decompress(literal + b"\x1e\x02\x00") == b"ab" * 5
-    assert snappy_decompress(b"\x46\xf0\x45" + b"x" * 70) == b"x" * 70
-    with pytest.raises(ValueError, match="2 bytes instead of 10"):
-        snappy_decompress(literal)
-
-
-def test_file_that_is_no_parquet_is_named(tmp_path):
-    path = tmp_path / "words.parquet"
-    path.write_bytes(b"PAR1 cut off")
-    with pytest.raises(ValueError, match=r"words\.parquet is no parquet file"):
-        read_strings(path)

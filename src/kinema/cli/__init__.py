@@ -1,9 +1,10 @@
-"""Read the command line of `kinema`: generate and edit motion, import checkpoints, prepare and check corpora."""
+"""Read the command line of `kinema`: train and score methods, generate and edit motion, import, prepare and check."""
 
 from __future__ import annotations
 
 import argparse
 import ast
+import importlib
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -14,6 +15,14 @@ TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq")
 GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm")
 KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
+EXPERIMENTS = {
+    "train": ("kinema.experiments.entry:train", "fit a stage of a method or evaluator: stage=generator method=..."),
+    "evaluate": ("kinema.experiments.entry:evaluate", "score one row of a table: source=generation method=..."),
+    "reproduce": ("kinema.experiments.reproduce:main", "run what a table lacks, and render it: table5 scale=..."),
+    "figures": ("kinema.experiments.figures:main", "draw a figure of the papers: bad_masks, code_usage RUN..."),
+}
+"""Commands that read their own arguments (`kinema train --help`): mostly Hydra overrides."""
+RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD for the last that finished"
 RANGE_HELP = (
     "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
     "or prefix, suffix, inbetween, outpaint"
@@ -22,7 +31,12 @@ RANGE_HELP = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; an error is one line on stderr and exit code 2 (--debug shows where it came from)."""
-    options = _parser().parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words and words[0] in EXPERIMENTS:
+        module, _, function = EXPERIMENTS[words[0]][0].partition(":")
+        getattr(importlib.import_module(module), function)(words[1:])
+        return 0
+    options = _parser().parse_args(words)
     try:
         if hasattr(options, "set"):
             options.set = _settings(options.set)
@@ -39,7 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="kinema", description="Generate and edit human motion from text.")
+    parser = argparse.ArgumentParser(
+        prog="kinema", description="Train and compare text-to-motion methods; generate and edit motion from text."
+    )
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -49,6 +65,8 @@ def _parser() -> argparse.ArgumentParser:
         made.set_defaults(command=command or name)
         return made
 
+    for name, (_, what) in EXPERIMENTS.items():
+        commands.add_parser(name, help=what)
     make = add("generate", "generate one motion per text")
     make.add_argument("text", nargs="+", help="what the person does; several texts give several motions")
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
@@ -62,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     for one in (make, change):
-        one.add_argument("--run", required=True, help="run folder of a generator, or one that TextToMotion.save wrote")
+        one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
         one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
@@ -94,10 +112,17 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--processes", type=int, help="processes that extract features")
     _add_settings(pack, "reader option, e.g. size=400 of synthetic")
     check = add("doctor", "examine a corpus, a packed store or a file of joints")
-    check.add_argument("path", help="corpus folder, packed store or .npy of joints")
+    check.add_argument(
+        "what",
+        nargs="+",
+        metavar="PATH | KEY=VALUE...",
+        help="corpus folder, packed store or .npy of joints; or overrides that name a corpus of the configuration "
+        "(data=open_mocap), which is prepared first",
+    )
     check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
     check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
-    add("info", "describe a run folder or a weights file").add_argument("run", help="run folder or weights file")
+    describe = add("info", "describe a run folder or a weights file, or what is installed")
+    describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
     return parser
 
 

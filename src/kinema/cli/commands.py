@@ -6,6 +6,7 @@ import argparse
 import importlib
 import json
 import os
+import platform
 from pathlib import Path
 
 import torch
@@ -14,6 +15,8 @@ from kinema.data import doctor as examine
 from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
+from kinema.experiments.config import compose
+from kinema.experiments.corpus import open_corpus
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
 from kinema.motion.features import extract
@@ -24,8 +27,11 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
-from kinema.runs import weights as artifacts
-from kinema.runs.parts import LENGTH, read_json
+from kinema.runs import weights
+from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.latest import find_run
+from kinema.runs.parts import LENGTH
+from kinema.runs.versions import versions
 from kinema.types import Motion
 
 
@@ -78,7 +84,7 @@ def import_checkpoint(options: argparse.Namespace) -> None:
     settings = dict(options.set)
     if options.statistics:
         settings["statistics"] = options.statistics[0] if len(options.statistics) == 1 else options.statistics
-    links = {part: run for part, run in vars(options).items() if part in LINKS and run}
+    links = {part: find_run(run) for part, run in vars(options).items() if part in LINKS and run}
     text = {"text": options.text, "text_path": options.text_path}
     module = import_run(options.kind, options.file, options.out, links=links, options=settings, **text)
     size = sum(p.numel() for p in module.parameters())
@@ -111,17 +117,26 @@ def prepare(options: argparse.Namespace) -> None:
 
 
 def doctor(options: argparse.Namespace) -> int:
-    """Examine a corpus, a store or one file of joints; exit code 1 if something is wrong."""
-    findings = examine.diagnose(options.path, source=options.source)
+    """Examine a corpus, a store, one file of joints or what overrides name; exit code 1 if something is wrong."""
+    path, source = options.what[0], options.source
+    if all("=" in word for word in options.what):
+        cfg = compose(options.what)
+        path, source = open_corpus(cfg), source or cfg.data.source
+    elif len(options.what) > 1:
+        raise ValueError(f"doctor takes one path, or KEY=VALUE overrides, not {' '.join(options.what)}")
+    findings = examine.diagnose(path, source=source)
     print(examine.format(findings))
     return examine.exit_code(findings, strict=options.strict)
 
 
 def info(options: argparse.Namespace) -> None:
-    """Describe a run folder or a weights file."""
-    path = Path(options.run)
-    file = path / artifacts.WEIGHTS if path.is_dir() else path
-    meta = artifacts.read_meta(file)
+    """Describe a run folder or a weights file; without one, what a bug report should say."""
+    if options.run is None:
+        print(json.dumps({**versions(), "system": platform.platform(), "cuda": torch.version.cuda}, indent=2))
+        return
+    path = find_run(options.run)
+    file = RunFolder(path).weights if path.is_dir() else path
+    meta = weights.read_meta(file)
     parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
         if found := read_json(path / f"{name}.json"):

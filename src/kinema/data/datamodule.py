@@ -13,12 +13,12 @@ from torch.utils.data import DataLoader
 
 from kinema.data.collate import collate
 from kinema.data.datasets import ClipDataset, Item, WindowDataset
-from kinema.data.sampler import StepSampler, item_seed
+from kinema.data.sampler import LEFTOVERS, StepSampler
 from kinema.data.store import PackedStore
+from kinema.seeds import item_seed, stream
 from kinema.types import MotionBatch
 
 KINDS = ("windows", "clips")
-LEFTOVERS = ("drop", "keep", "mld")
 VALIDATION_SEED = 0
 """Not the run's seed: runs are compared on the same crops and captions."""
 
@@ -117,7 +117,7 @@ class MotionDataModule(L.LightningDataModule):
                 f"split {split!r} of {self.store.name!r} has {len(dataset)} entries, fewer than one batch of "
                 f"{batch_size}; pass leftover='keep'"
             )
-        order = np.random.default_rng([seed, replication]).permutation(len(dataset)).tolist()
+        order = stream(seed, replication).permutation(len(dataset)).tolist()
         stop = len(order) - len(order) % batch_size if leftover == "drop" else len(order)
         for first in range(0, stop, batch_size):
             chosen = order[first : min(first + batch_size, stop)]

@@ -13,23 +13,19 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kinema.atomic import staging_folder
 from kinema.data.catalog import Catalog, Clip, Dropped
 from kinema.data.convert import convert
 from kinema.data.packing import StoreWriter
 from kinema.data.store import FORMAT, PackedStore
+from kinema.locks import hold
 from kinema.motion.skeleton import get_skeleton
-
-try:
-    import fcntl
-except ImportError:  # Windows: two processes may do the same work twice, and the second finds the first's store
-    fcntl = None
 
 VERSION = 1
 """Raised when preparing the same corpus gives another store, so that stores made before are not taken for it."""
@@ -107,20 +103,15 @@ def prepare(
     out, body = Path(out_dir), get_skeleton(skeleton)
     catalog = clips if isinstance(clips, Catalog) else Catalog(list(clips))
     _check_catalog(catalog, name, mirror, max_missing)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with _lock(out.with_name(f".{out.name}.lock")):
+    told = f"waiting   {out}: another process prepares it"
+    with hold(out.with_name(f".{out.name}.lock"), waiting=lambda: print(told, flush=True)):
         if request is not None and _request_of(out) == request:
             return out
-        partial = out.with_name(out.name + ".partial")
-        shutil.rmtree(partial, ignore_errors=True)  # left by a process that was killed, since we hold the lock
-        partial.mkdir()
-        try:
-            writer = StoreWriter(partial, name, body, tag_fps=20.0 if legacy_fps else body.fps)
+        with staging_folder(out, sole=True) as staging:
+            writer = StoreWriter(staging, name, body, tag_fps=20.0 if legacy_fps else body.fps)
             options = {"request": request, "mirror": mirror, "legacy_fps": legacy_fps}
             manifest = _write(catalog, writer, options, processes)
-            _move(partial, out, manifest["hash"])
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            _move(staging, out, manifest["hash"])
     return out
 
 
@@ -185,10 +176,10 @@ def _convert_all(jobs: list[tuple[Clip, str, bool]], processes: int) -> Iterator
         yield from pool.map(convert, jobs, chunksize=16)
 
 
-def _move(partial: Path, out: Path, content: str) -> None:
+def _move(staging: Path, out: Path, content: str) -> None:
     """Put the finished store in its place, unless the same content is there."""
     if not out.exists():
-        os.replace(partial, out)
+        os.replace(staging, out)
     elif not (out / "manifest.json").is_file():
         raise ValueError(f"{out} exists and is no packed corpus; choose another folder")
     elif PackedStore.open(out).hash != content:
@@ -212,12 +203,3 @@ def _listing(source: str | Path | None) -> str:
             status = os.stat(os.path.join(folder, file))
             found.update(f"{os.path.relpath(folder, root)}/{file} {status.st_size} {status.st_mtime_ns}\n".encode())
     return found.hexdigest()
-
-
-@contextmanager
-def _lock(file: Path) -> Iterator[None]:
-    """Let one process at a time prepare a store; the lock goes with the process, and stays free after a crash."""
-    with file.open("w") as stream:
-        if fcntl is not None:
-            fcntl.flock(stream, fcntl.LOCK_EX)
-        yield

@@ -6,20 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-_MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
-_GOLDEN = 0x9E3779B97F4A7C15
-_MASK = (1 << 64) - 1
+from kinema.seeds import item_seed, stream
 
-
-def item_seed(seed: int, epoch: int, index: int) -> int:
-    """Hash seed, epoch and item to 64 bits, the seed of that item's own draws (SplitMix64, chained)."""
-    state = 0
-    for value in (seed, epoch, index):
-        state = (state + value + _GOLDEN) & _MASK
-        for shift, factor in zip((30, 27), _MIX, strict=True):
-            state = ((state ^ (state >> shift)) * factor) & _MASK
-        state ^= state >> 31
-    return state
+LEFTOVERS = ("drop", "keep", "mld")
+"""What becomes of a split's rows beyond whole batches: they are left out, form a smaller batch, or (MLD) form one that
+counts for all metrics but R-precision and matching."""
 
 
 class StepSampler:
@@ -51,7 +42,7 @@ class StepSampler:
         for step in range(self.start_step, self.steps):
             epoch, position = divmod(step, per_epoch)
             if epoch != current:
-                current, order = epoch, np.random.default_rng([self.seed, epoch]).permutation(self.size)
+                current, order = epoch, stream(self.seed, epoch).permutation(self.size)
             first = position * self.batch_size + self.rank * share
             chosen = order[first : first + share].tolist()
             yield [(index, item_seed(self.seed, epoch, index)) for index in chosen]

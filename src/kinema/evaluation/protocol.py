@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
-import numpy as np
 import torch
 from jaxtyping import Int
 from torch import Tensor
@@ -17,6 +16,7 @@ from kinema.evaluation.metrics.finite import require_finite
 from kinema.evaluation.scores import Observation, Scores
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.evaluation.sources import Source
+from kinema.seeds import protocol_seeds
 from kinema.types import MotionBatch
 
 __all__ = [
@@ -24,7 +24,6 @@ __all__ = [
     "EvaluationProtocol",
     "ReplicationResult",
     "evaluate_replication",
-    "sample_seeds",
     "select",
 ]
 
@@ -42,13 +41,6 @@ class ReplicationResult:
     breakdowns: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     samples: MotionBatch | None = None
     references: MotionBatch | None = None
-
-
-def sample_seeds(seed: int, replication: int, first: int, count: int, repeat: int = 0) -> Int[Tensor, " b"]:
-    """Return the seeds of rows first..first+count-1 of a replication: the same for every source."""
-    rows = range(first, first + count)
-    words = [np.random.SeedSequence([seed, replication, repeat, row]).generate_state(2) for row in rows]
-    return torch.tensor([(int(high) << 31) ^ int(low) for high, low in words], dtype=torch.int64)
 
 
 @torch.no_grad()
@@ -170,7 +162,7 @@ def _answer(
     source: Source, batch: MotionBatch, protocol: EvaluationProtocol, replication: int, first: int, repeat: int = 0
 ) -> MotionBatch:
     """Ask the source, and refuse NaN and infinity by the clip's name."""
-    seeds = sample_seeds(protocol.seed, replication, first, len(batch.lengths), repeat)
+    seeds = protocol_seeds(protocol.seed, replication, first, len(batch.lengths), repeat)
     generated = source(batch, seeds)
     names = batch.clip_ids or [c.text for c in batch.captions]
     require_finite(batch.features, "real features", names)

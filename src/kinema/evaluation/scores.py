@@ -20,6 +20,7 @@ from kinema.evaluation.metrics import (
 )
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.motion.skeleton import Skeleton
+from kinema.seeds import pairs_seed
 from kinema.types import MotionBatch
 
 
@@ -54,7 +55,7 @@ class Scores:
         self.count = 0
         # A replication is one process' work; one that alone evaluates within a group must not wait for the others.
         sync = {"sync_on_compute": False}
-        seed = protocol.seed * 1_000_003 + replication
+        seed = pairs_seed(protocol.seed, replication)
         self.retrieval = Retrieval(protocol.pool, protocol.leftover, **sync)
         self.diversity = Diversity(protocol.diversity_pairs, seed, **sync)
         self.multimodality = MultiModality(protocol.mm_pairs, seed, **sync)

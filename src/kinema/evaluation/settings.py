@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from kinema.evaluation.metrics.retrieval import LEFTOVERS
+from kinema.data.sampler import LEFTOVERS
 
 
 @dataclass(frozen=True)

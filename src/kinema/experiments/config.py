@@ -5,25 +5,36 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
-CONF = Path(__file__).resolve().parents[3] / "conf"
-SCALES = ("paper", "tiny", "smoke")
+
+def find_conf(package: Path) -> Path:
+    """Return the folder of the configurations: inside an installed package, beside src/ in a checkout."""
+    return package / "conf" if (package / "conf").is_dir() else package.parents[1] / "conf"
+
+
+CONF = find_conf(Path(__file__).resolve().parents[1])
 STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
+TYPICAL = {
+    "data": "custom",
+    "representation": "essential",
+    "text": "minilm",
+    "trainer": "default",
+    "callbacks": "default",
+    "logger": "csv",
+    "debug": "none",
+}
+"""Groups that are no class's arguments, each with a file that has all options of the group."""
 SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation")
 
 
 def register_resolvers() -> None:
-    """Make ${scaled:PAPER,TINY,SMOKE} and ${corpus:HUMANML3D,KIT} known to OmegaConf."""
-    OmegaConf.register_new_resolver("scaled", _scaled, replace=True)
+    """Make ${corpus:HUMANML3D,KIT} known to OmegaConf."""
     OmegaConf.register_new_resolver("corpus", _corpus, replace=True)
-
-
-def _scaled(paper: Any, tiny: Any, smoke: Any, *, _root_: DictConfig) -> Any:
-    return dict(zip(SCALES, (paper, tiny, smoke), strict=True))[_root_.scale.name]
 
 
 def _corpus(humanml3d: Any, kit: Any, *, _root_: DictConfig) -> Any:
@@ -31,13 +42,27 @@ def _corpus(humanml3d: Any, kit: Any, *, _root_: DictConfig) -> Any:
 
 
 def compose(overrides: list[str], config_name: str = "train") -> DictConfig:
-    """Compose a configuration outside of hydra.main."""
+    """Compose a configuration outside of hydra.main; raises ValueError naming a wrong override and what is allowed."""
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
 
     register_resolvers()
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return hydra_compose(config_name, overrides=overrides)
+        try:
+            cfg = hydra_compose(config_name, overrides=overrides)
+        except HydraException as error:
+            raise ValueError(explain(error)) from None
+    return cfg
+
+
+def explain(error: HydraException) -> str:
+    """Say what is wrong with an override: of an option that isn't there, name those that are."""
+    cause = error.__cause__
+    if not isinstance(cause, OmegaConfBaseException) or not isinstance(cause.parent_node, DictConfig):
+        return str(error)
+    key, _, _ = str(cause.full_key).rpartition(".")
+    options = ", ".join(sorted(str(k) for k in cause.parent_node if k != "hydra")) or "no options"
+    return f"{cause.full_key} is no option; {key or 'the configuration'} has {options}"
 
 
 def plain(node: Any) -> Any:
@@ -56,7 +81,8 @@ def plain(node: Any) -> Any:
 
 def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
-    checks = [("scale.name", cfg.scale.name, SCALES)]
+    check_options(cfg)
+    checks = []
     if "stage" in cfg:
         checks.append(("stage", cfg.stage, STAGES))
     if "source" in cfg:
@@ -69,6 +95,14 @@ def validate(cfg: DictConfig) -> None:
         raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
     if not isinstance(cfg.seed, int) or cfg.seed < 0:
         raise ValueError(f"seed={cfg.seed!r}; it must be an integer of at least 0")
+
+
+def check_options(cfg: DictConfig) -> None:
+    """Refuse an option that nothing reads; those of models, recipes and sampling are their classes' to check."""
+    for group, option in TYPICAL.items():
+        options = OmegaConf.load(CONF / group / f"{option}.yaml").keys() - {"defaults"}
+        for key in sorted(cfg[group].keys() - options):
+            raise ValueError(f"{group}.{key} is no option; {group} has {', '.join(sorted(options))}")
 
 
 def refuse_processes(cfg: DictConfig, multirun: bool) -> None:

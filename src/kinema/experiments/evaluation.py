@@ -14,7 +14,11 @@ from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.run import check_parts, command, run_stage, stage_folder
 from kinema.experiments.stages import STAGES
-from kinema.runs.folder import RunFolder, append_line, console, read_lines, upstream, versions
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
+from kinema.runs.lines import append_line, read_lines
+from kinema.runs.parts import upstream
+from kinema.runs.versions import versions
 
 NEEDS = {"real": (), "shuffled": (), "nearest": (), "noise": ("tokenizer",), "reconstruction": ("tokenizer",)}
 """The runs a source reads beside the judges'; generation reads the generator's, which knows its tokenizer, the residual

@@ -11,7 +11,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain
 from kinema.experiments.stages import STAGES, Stage
-from kinema.runs.folder import upstream
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import TEXT, upstream
 
 IDENTITY_VERSION = 1
 """Raised when a change of the code changes what a config means: old runs are then not taken for new ones."""
@@ -56,11 +57,12 @@ def _upstream(cfg: DictConfig, stage: Stage, corpus_hash: str) -> str:
 
 def run_identity(run: Path) -> str:
     """Identify a run: one of ours by its name, which ends in its fingerprint, an imported one by its weights."""
-    if (run / "config.yaml").exists() or not (run / "weights.safetensors").exists():
+    weights = RunFolder(run).weights
+    if (run / "config.yaml").exists() or not weights.exists():
         return run.name
-    digest = hashlib.sha256((run / "weights.safetensors").read_bytes())
-    if (run / "text.json").exists():
-        digest.update((run / "text.json").read_bytes())
+    digest = hashlib.sha256(weights.read_bytes())
+    if (run / TEXT).exists():
+        digest.update((run / TEXT).read_bytes())
     for link in upstream(run).values():
         digest.update(run_identity(link).encode())
     return digest.hexdigest()

@@ -11,9 +11,10 @@ from torch import nn
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.experiments.stages import Stage
-from kinema.runs import weights as artifacts
+from kinema.runs.parts import load_part
 from kinema.text.cache import CachedTextEncoder
-from kinema.text.encoders import FrozenTextEncoder, build_text_encoder
+from kinema.text.encoders import build_text_encoder
+from kinema.text.frozen import FrozenTextEncoder
 from kinema.text.tokens import TokenTable, clip_tokens
 from kinema.text.words import WordVectors, word_vectors
 
@@ -33,8 +34,8 @@ def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
 
 def read_model(run: Path) -> tuple[nn.Module, dict[str, Any]]:
     """Load a run's selected weights on the CPU, in eval mode and without gradients."""
-    model, meta = artifacts.load(Path(run) / "weights.safetensors")
-    return model.eval().requires_grad_(False), meta
+    model, meta = load_part(run)
+    return model.requires_grad_(False), meta
 
 
 def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:

@@ -1,6 +1,6 @@
 """Reproduce a table: run what its rows lack as Hydra multiruns, then render it.
 
-`python -m kinema.experiments.reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`
+`kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`
 """
 
 from __future__ import annotations
@@ -11,16 +11,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-from kinema.experiments.config import CONF
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
-from kinema.runs.folder import RunFolder, console, upstream
-
-ROOT = CONF.parent
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse the command line and reproduce the table."""
-    parser = argparse.ArgumentParser(prog="python -m kinema.experiments.reproduce", description=__doc__)
+    parser = argparse.ArgumentParser(prog="kinema reproduce", description=__doc__)
     parser.add_argument("table", help="a file of conf/table, for instance table5")
     parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")
     parser.add_argument("--render-only", action="store_true", help="render what there is; run nothing")
@@ -40,30 +39,23 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
     rows = plan(table, shared)
     work = [] if render_only else missing_work(rows)
     if work:
-        for script, choices in work:
-            command = [sys.executable, f"{script}.py", "-m", *overrides, *choices]
-            console.print(f"[bold]run[/]       {script}.py -m {' '.join([*overrides, *choices])}")
-            if subprocess.run(command, cwd=ROOT).returncode:
+        for job, choices in work:
+            words = [job, "-m", *overrides, *choices]
+            console.print(f"[bold]run[/]       kinema {' '.join(words)}")
+            # -P: a file of the user's in this directory must not be taken for a module of the same name.
+            if subprocess.run([sys.executable, "-P", "-m", "kinema.cli", *words]).returncode:
                 raise OSError(
-                    f"`{script}.py -m {' '.join([*overrides, *choices])}` failed (see above); what is finished is "
+                    f"`kinema {' '.join(words)}` failed (see above); what is finished is "
                     "kept: run the same command again after mending the cause"
                 )
         rows = plan(table, shared)
-    out = out or ROOT / "reports" / name
-    for path in render_table(table, rows, out, make_command(name, shared)):
+    out = out or Path("reports") / name
+    for path in render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared])):
         console.print(f"wrote     {path}")
     lacking = [row.spec["label"] for row in rows if row.cfg is not None and not row.complete]
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
-
-
-def make_command(name: str, overrides: list[str]) -> str:
-    """Return the command that makes a table with these overrides."""
-    own = [o for o in overrides if o.startswith(("data=", "scale="))]
-    other = [o for o in overrides if o not in own]
-    words = [f"make reproduce-{name}", *(f"{k.upper()}={v}" for k, v in (o.split("=", 1) for o in own))]
-    return " ".join([*words, f"ARGS={shlex.quote(shlex.join(other))}"] if other else words)
 
 
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
@@ -107,7 +99,3 @@ def total_seconds(rows: list[TableRow]) -> float:
     training = sum(RunFolder(path).status.get("seconds", 0.0) for path in {p.resolve() for p in runs})
     places = {row.place.folder.path: row.place for row in rows if row.place}
     return training + sum(line["seconds"] for place in places.values() for line in place.lines)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import time
 import traceback
@@ -11,11 +10,15 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.devices import global_rank
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import manifest, open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, stage_identity
 from kinema.experiments.stages import STAGES, Stage, label
-from kinema.runs.folder import RunFolder, console, global_rank, versions, write_json
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import link
+from kinema.runs.versions import versions
 
 WRITE_SECONDS = 600
 """How long other ranks wait for rank 0 to write a stage's weights before the next stage reads them."""
@@ -35,7 +38,7 @@ def command(cfg: DictConfig, stage: Stage) -> str:
     given = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
     if HydraConfig.initialized():
         given = [o for o in HydraConfig.get().overrides.task if o.split("=")[0] not in ("stage", "source", "ensure")]
-    return shlex.join(["python", "train.py", f"stage={stage.name}", *given])
+    return shlex.join(["kinema", "train", f"stage={stage.name}", *given])
 
 
 def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
@@ -147,8 +150,7 @@ def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstre
     resolved = plain(cfg)
     resolved.pop("hydra", None)
     OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")
-    links = {k: os.path.relpath(v.path, folder.path) for k, v in upstream.items()}
-    write_json(folder.path / "upstream.json", links)
+    link(folder.path, {name: run.path for name, run in upstream.items()})
     folder.mark("running", versions=versions())
     try:
         result = train_stage(cfg, stage, store, folder, upstream)

@@ -11,8 +11,10 @@ import numpy as np
 import torch
 from omegaconf import DictConfig
 
+from kinema.atomic import replacing
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.store import PackedStore
+from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.cache import motion_key
 from kinema.evaluation.metrics.fid import half_against_half
@@ -22,8 +24,9 @@ from kinema.experiments.instantiate import attach_text, cached, encode_captions,
 from kinema.experiments.stages import STAGES
 from kinema.motion.recovery import recover_joints
 from kinema.runs.build import build
+from kinema.seeds import halves_seed
 from kinema.text.cache import CachedTextEncoder
-from kinema.training.fit import Machine, find_device
+from kinema.training.fit import Machine
 from kinema.types import MotionBatch
 
 SAMPLES = 6
@@ -103,7 +106,7 @@ class Scorer:
             shelf.get(motion_key(batch), partial(self.matching.embed_motion, batch), torch.device("cpu"))
             for batch in self._batches(replication)
         ]
-        return half_against_half(torch.cat(known), self.protocol.seed + replication)
+        return half_against_half(torch.cat(known), halves_seed(self.protocol.seed, replication))
 
     def save_samples(self, path: Path, result: ReplicationResult) -> None:
         """Keep a few motions of the replication as joints."""
@@ -111,10 +114,9 @@ class Scorer:
         count = min(SAMPLES, len(batch.lengths))
         joints = recover_joints(batch.features[:count].float().cpu(), self.store.skeleton).numpy()
         arrays = {f"joints{i}": joints[i, : int(batch.lengths[i])].astype(np.float32) for i in range(count)}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name("." + path.name)
-        np.savez(temporary, texts=np.array(batch.texts[:count]), skeleton=np.array(self.store.skeleton.name), **arrays)
-        temporary.replace(path)
+        arrays |= {"texts": np.array(batch.texts[:count]), "skeleton": np.array(self.store.skeleton.name)}
+        with replacing(path) as temporary:
+            np.savez(temporary, **arrays)
 
     def _source(self, runs: dict[str, Path]) -> sources.Source:
         name, cfg = self.cfg.source, self.cfg

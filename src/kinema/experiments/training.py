@@ -13,27 +13,23 @@ from torch import nn
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
+from kinema.devices import find_device, global_rank
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import attach_text, encode_captions, model_spec, read_model, text_encoder
 from kinema.experiments.previews import sample_drawer
 from kinema.experiments.stages import Stage
 from kinema.motion.representation import Representation
 from kinema.pipeline.compatibility import check_pair
-from kinema.runs import weights as artifacts
+from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.folder import RunFolder, global_rank, write_json
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import write_text_encoder
+from kinema.seeds import training_seed
 from kinema.training.callbacks import Samples
-from kinema.training.fit import Machine, find_device, fit
+from kinema.training.fit import Machine, fit
 from kinema.training.latents import latent_source
 from kinema.training.loggers import loggers
-from kinema.training.modules import (
-    EvaluatorModule,
-    GeneratorModule,
-    LatentSource,
-    StageModule,
-    TokenizerModule,
-    step_seed,
-)
+from kinema.training.modules import EvaluatorModule, GeneratorModule, LatentSource, StageModule, TokenizerModule
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, MotionBatch
 
@@ -47,7 +43,7 @@ def train_stage(
     store = PackedStore.open(store_path)
     node = plain(stage.config(cfg))
     recipe = make_recipe(node["train"], store_path, debug_steps=cfg.debug.steps)
-    torch.manual_seed(step_seed(cfg.seed, "init", stage.name))
+    torch.manual_seed(training_seed(cfg.seed, "init", stage.name))
     spec = model_spec(cfg, stage)
     model = build(spec)
     for part in model.modules():
@@ -76,7 +72,7 @@ def train_stage(
         "step": fitted.step,
         "val_loss": fitted.val_loss,
         "parameters": sum(p.numel() for p in model.parameters() if p.requires_grad),
-        "device": device,
+        "device": str(device),
     }
     if global_rank() > 0:
         return summary
@@ -85,9 +81,9 @@ def train_stage(
     if "tokenizer" in upstream:
         meta["representation"] = read_model(upstream["tokenizer"].path)[0].representation.identity()
     if "text" in stage.reads:
-        write_json(folder.path / "text.json", {"encoder": cfg.text.name, "path": cfg.text.path})
+        write_text_encoder(folder.path, cfg.text.name, cfg.text.path)
         meta["text"] = module.text.value.identity
-    artifacts.save(model, spec, folder.weights, **meta)
+    weights.save(model, spec, folder.weights, **meta)
     return summary
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,13 @@ from typing import Any
 from torch import nn
 
 from kinema import interop
+from kinema.atomic import new_folder
 from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop import Kind, find_kind
 from kinema.pipeline.compatibility import check_pair
-from kinema.runs import weights as artifacts
-from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, load_part, new_folder, write_json
+from kinema.runs import weights
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, link, load_part, write_text_encoder
 from kinema.text.clip import WHOLE
 from kinema.text.encoders import ENCODERS
 
@@ -50,13 +51,13 @@ def import_run(
     check_parts({known.part: module, **parts})
     if module.spec.get("words") == "all" and text not in WHOLE:
         raise ValueError(f"words=all reads all 77 positions, --text {text} gives the text's own; use {WHOLE[0]}")
-    out = Path(out)
     with new_folder(out) as folder:
-        artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, part=known.part, kind=kind, source=str(source))
-        write_json(folder / "upstream.json", {part: os.path.relpath(run, out) for part, run in links.items()})
+        about = {"part": known.part, "kind": kind, "source": str(source)}
+        weights.save(module, module.spec, RunFolder(folder).weights, **about)
+        link(folder, links)
         if known.part in READS_TEXT:
-            write_json(folder / "text.json", {"encoder": text, "path": text_path})
-        write_json(folder / "status.json", {"state": "done", "imported": str(source)})
+            write_text_encoder(folder, text, text_path)
+        RunFolder(folder).mark("done", imported=str(source))
     return module
 
 

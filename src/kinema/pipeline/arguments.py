@@ -1,14 +1,13 @@
-"""Check what is asked of a pipeline, and spread it over the samples: lengths, texts, seeds, batches."""
+"""Check what is asked of a pipeline, and spread it over the samples: lengths, texts, batches."""
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
-from kinema.text.encoders import check_texts
+from kinema.text.frozen import check_texts
 from kinema.types import Motion
 
 
@@ -34,15 +33,6 @@ def check_length(count: int, maximum: int, fps: float) -> None:
             f"length {count} is out of range; allowed: 1 to {maximum} frames "
             f"({maximum / fps:g} seconds at {fps:g} frames per second)"
         )
-
-
-def sample_seeds(seed: int | None, size: int) -> list[int]:
-    """Derive one seed per sample; the first is the seed itself (drawn if None), so that it alone repeats the list."""
-    seed = secrets.randbelow(2**31) if seed is None else seed
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed {seed} is out of range; allowed: 0 to 2**63 - 1")
-    rest = (np.random.SeedSequence([seed, i]).generate_state(1, np.uint64)[0] for i in range(1, size))
-    return [seed, *(int(s) >> 16 for s in rest)]
 
 
 def batches(size: int, batch_size: int) -> Iterator[slice]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
@@ -31,8 +29,7 @@ def bridges(parts: Latents, space: LatentSpace, transition: int, most: int) -> K
     gathered = torch.where(
         is_left[..., None], _take(parts.content[:-1], from_left), _take(parts.content[1:], from_right)
     )
-    known = replace(parts.with_content(gathered * keep[..., None]), lengths=lengths, frames=space.frames_of(lengths))
-    return Known(known, keep)
+    return Known(parts.holding(gathered * keep[..., None], lengths, space.frames_of(lengths)), keep)
 
 
 def join(parts: Latents, space: LatentSpace, bridged: Latents, free: Bool[Tensor, "b n"]) -> Latents:
@@ -45,7 +42,7 @@ def join(parts: Latents, space: LatentSpace, bridged: Latents, free: Bool[Tensor
             pieces.append(between[i][free[i]])
     whole = torch.cat(pieces)[None]
     lengths = torch.tensor([whole.shape[1]], device=parts.lengths.device)
-    return replace(parts.with_content(whole), lengths=lengths, frames=space.frames_of(lengths))
+    return parts.holding(whole, lengths, space.frames_of(lengths))
 
 
 def _take(content: Tensor, index: Int[Tensor, "b n"]) -> Tensor:

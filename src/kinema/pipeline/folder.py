@@ -8,11 +8,25 @@ from typing import Any
 
 import torch
 
+from kinema.atomic import new_folder
 from kinema.generators import Generator, LatentModel
 from kinema.pipeline.compatibility import check_representation
-from kinema.runs import weights as artifacts
-from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, load_part, new_folder, read_json, write_json
-from kinema.text.encoders import FrozenTextEncoder, build_text_encoder
+from kinema.runs import weights
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import (
+    GENERATOR,
+    LENGTH,
+    TEXT,
+    TOKENIZER,
+    UPSTREAM,
+    link,
+    load_part,
+    read_text_encoder,
+    upstream,
+    write_text_encoder,
+)
+from kinema.text.encoders import build_text_encoder
+from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
 
 Parts = tuple[MotionTokenizer, Generator, FrozenTextEncoder, dict[str, LatentModel], dict[str, Any]]
@@ -25,15 +39,15 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
     Raises FileNotFoundError or ValueError that name the part that is missing or unfit.
     """
     generator, meta = load_part(folder, device, GENERATOR)
-    links, text = read_json(folder / "upstream.json"), read_json(folder / "text.json")
-    for file, key, names in (("upstream.json", TOKENIZER, links), ("text.json", "encoder", text)):
+    links, text = upstream(folder), read_text_encoder(folder)
+    for file, key, names in ((UPSTREAM, TOKENIZER, links), (TEXT, "encoder", text)):
         if key not in names:
             raise ValueError(f"{folder / file} names no {key}; train or import this run again")
     allowed = (*generator.parts, LENGTH)
     for name in given.keys() - set(allowed):
         takes = ", ".join(f"{part}=" for part in allowed)
         raise ValueError(f"{type(generator).__name__} takes no part {name!r}; it takes {takes}")
-    runs = {name: folder / link for name, link in links.items()} | given
+    runs = links | given
     tokenizer, _ = load_part(runs.pop(TOKENIZER), device, TOKENIZER)
     check_representation(meta.get("representation"), tokenizer.representation)
     encoder = build_text_encoder(text["encoder"], text.get("path"), device)
@@ -55,9 +69,9 @@ def write_parts(
         _write(generator, staging, GENERATOR, **meta)
         for name, module in parts.items():
             _write(module, staging / name, name)
-        write_json(staging / "upstream.json", {name: name for name in parts})
-        write_json(staging / "text.json", text)
-        write_json(staging / "status.json", {"state": "done"})
+        link(staging, {name: staging / name for name in parts})
+        write_text_encoder(staging, text["encoder"], text.get("path"))
+        RunFolder(staging).mark("done")
 
 
 def _write(module: MotionTokenizer | LatentModel, folder: Path, part: str, **meta: Any) -> None:
@@ -65,4 +79,4 @@ def _write(module: MotionTokenizer | LatentModel, folder: Path, part: str, **met
         raise ValueError(
             f"this {type(module).__name__} has no spec to save with; set module.spec to what it was built from"
         )
-    artifacts.save(module, module.spec, folder / artifacts.WEIGHTS, part=part, **meta)
+    weights.save(module, module.spec, RunFolder(folder).weights, part=part, **meta)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -32,7 +30,7 @@ def encode_kept(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tens
     encoded = tokenizer.encode(MotionBatch(pieces, (ends - starts) * unit))
     content = encoded.content.new_zeros(*keep.shape, encoded.content.shape[2])
     content[keep] = encoded.content[encoded.mask]
-    return Known(replace(encoded.with_content(content), lengths=lengths, frames=lengths * unit), keep)
+    return Known(encoded.holding(content, lengths, lengths * unit), keep)
 
 
 def stretches(keep: Bool[Tensor, "b n"]) -> tuple[Tensor, Tensor, Tensor]:

@@ -13,19 +13,22 @@ import torch
 from jaxtyping import Int
 from torch import Tensor, nn
 
+from kinema.devices import find_device
 from kinema.generators import Generator, LatentModel
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
-from kinema.pipeline.arguments import batches, check_length, frame_counts, paired, sample_seeds
+from kinema.pipeline.arguments import batches, check_length, frame_counts, paired
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.editing import edited_frames, kept_latents, resolve_ranges, stack_sources
 from kinema.pipeline.editing import paste as paste_rows
 from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept
+from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH, TOKENIZER
-from kinema.text.encoders import FrozenTextEncoder, check_texts
+from kinema.seeds import request_seeds
+from kinema.text.frozen import FrozenTextEncoder, check_texts
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Motion, MotionBatch, TextFeatures
 
@@ -83,7 +86,7 @@ class TextToMotion:
     def to(self, device: torch.device | str) -> TextToMotion:
         """Move the weights; text features follow them."""
         for module in self._modules():
-            module.to(best_device(device))
+            module.to(find_device(device))
         return self
 
     def eval(self) -> TextToMotion:
@@ -133,7 +136,7 @@ class TextToMotion:
         """
         texts = check_texts([texts] if isinstance(texts, str) else list(texts))
         options = self._sampling(sampling)
-        seeds = sample_seeds(seed, len(texts))
+        seeds = request_seeds(seed, len(texts))
         counts = self._lengths(frames, seconds, len(texts))
         motions = []
         with self._inference():
@@ -164,7 +167,7 @@ class TextToMotion:
         options, space = self._sampling(sampling), self.generator.space
         most = self.max_frames // space.in_time("joining motions")
         # A transition draws its own numbers, not those of the part before it.
-        seeds = sample_seeds(seed, 2 * len(texts) - 1)
+        seeds = request_seeds(seed, 2 * len(texts) - 1)
         seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
         counts = self._lengths(frames, seconds, len(texts))
         with self._inference():
@@ -200,7 +203,7 @@ class TextToMotion:
         options = self._sampling(sampling)
         self._check_sources(motions)
         ranges = resolve_ranges(frames, [len(m.features) for m in motions])
-        seeds = sample_seeds(seed, len(motions))
+        seeds = request_seeds(seed, len(motions))
         edited = []
         with self._inference():
             for part in batches(len(motions), batch_size):
@@ -281,11 +284,13 @@ class TextToMotion:
     ) -> TextToMotion:
         """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
 
+        `path` may be `latest:mardm_sit`, the last run of that name that finished (`kinema.runs.latest.find_run`).
         `parts` are run folders of what stands beside it (`length=`, `residual=`); without them those that
         `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name the
         part that is missing or unfit.
         """
-        tokenizer, generator, encoder, loaded, meta = read_parts(Path(path), best_device(device), parts)
+        beside = {part: run and find_run(run) for part, run in parts.items()}
+        tokenizer, generator, encoder, loaded, meta = read_parts(find_run(path), find_device(device), beside)
         return cls(tokenizer, generator, encoder, loaded, meta)
 
     def save(self, path: str | Path) -> Path:
@@ -297,16 +302,3 @@ class TextToMotion:
         parts = {TOKENIZER: self.tokenizer, **self.parts}
         write_parts(path, self.generator, parts, self.meta["text"], own)
         return path
-
-
-def best_device(device: torch.device | str | None = None) -> torch.device:
-    """Choose cuda, else mps, else the CPU; or check that the one asked for is there."""
-    if device is None:
-        if torch.cuda.is_available():
-            return torch.device("cuda")
-        return torch.device("mps" if torch.backends.mps.is_available() else "cpu")
-    try:
-        return torch.empty(0, device=device).device
-    except (RuntimeError, AssertionError) as error:  # torch built without CUDA asserts
-        reason = str(error).splitlines()[0]
-        raise ValueError(f"device {str(device)!r} cannot be used here ({reason}); choose {best_device()}") from None

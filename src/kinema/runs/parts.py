@@ -1,66 +1,56 @@
-"""Read and write run folders: weights.safetensors, upstream.json, text.json, status.json."""
+"""Link a run to the runs of its parts and to its text encoder, and load what a run holds."""
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from kinema.runs import weights as artifacts
-from kinema.atomic import write_text
 
+from kinema.atomic import write_json
+from kinema.runs import weights
+from kinema.runs.folder import RunFolder, read_json
 
 GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
 """The parts that a pipeline itself knows by name; a generator names those that it takes."""
 
+UPSTREAM, TEXT = "upstream.json", "text.json"
 
-def load_part(folder: Path, device: torch.device | str, part: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Load the module of one run folder; says so if the run is not finished, or holds another part than `part`."""
+
+def load_part(folder: Path, device: torch.device | str = "cpu", part: str | None = None) -> tuple[Any, dict[str, Any]]:
+    """Load the module of one run folder, with the metadata of its weights.
+
+    Raises FileNotFoundError if the run is missing or not finished, ValueError if it holds another part than `part`.
+    """
+    run = RunFolder(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"no run folder at {folder}; check the path, or train or import that part first")
-    if not (folder / artifacts.WEIGHTS).is_file():
-        state = read_json(folder / "status.json").get("state", "unknown")
-        raise FileNotFoundError(f"{folder} has no {artifacts.WEIGHTS} (its state is {state!r}); finish training it")
-    found = artifacts.read_meta(folder / artifacts.WEIGHTS).get("part")
+    if not run.weights.is_file():
+        state = run.status["state"]
+        raise FileNotFoundError(f"{folder} has no {run.weights.name} (its state is {state!r}); finish training it")
+    found = weights.read_meta(run.weights).get("part")
     if part is not None and found != part:
         raise ValueError(f"{folder} holds a run of {found!r}; give the folder of a {part!r} run")
-    return artifacts.load(folder / artifacts.WEIGHTS, device)
+    return weights.load(run.weights, device)
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a small JSON object; a missing file is an empty one."""
-    if not path.is_file():
-        return {}
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged ({error}); train or import this run again") from None
+def link(run: Path, parts: Mapping[str, Path]) -> None:
+    """Write which runs hold a run's parts: relative paths, so that a tree of runs can be moved as a whole."""
+    write_json(run / UPSTREAM, {name: os.path.relpath(part, run) for name, part in parts.items()})
 
 
-def write_json(path: Path, value: dict[str, Any]) -> None:
-    """Write a small JSON object, whole or not at all."""
-    write_text(path, json.dumps(value, indent=1, sort_keys=True) + "\n")
+def upstream(run: Path) -> dict[str, Path]:
+    """Read which runs hold a run's parts; none where nothing was linked."""
+    return {name: (run / part).resolve() for name, part in read_json(run / UPSTREAM).items()}
 
 
-@contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path` that becomes it on success and vanishes on failure.
+def write_text_encoder(run: Path, name: str, path: str | None) -> None:
+    """Write which text encoder a run's model reads."""
+    write_json(run / TEXT, {"encoder": name, "path": path})
 
-    Raises ValueError if `path` exists.
-    """
-    if path.exists():
-        raise ValueError(f"{path} exists; choose another folder or remove it")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-    try:
-        yield staging
-        staging.chmod(0o755)
-        os.replace(staging, path)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+
+def read_text_encoder(run: Path) -> dict[str, Any]:
+    """Read which text encoder a run's model reads: `encoder` and `path`; nothing where it reads none."""
+    return read_json(run / TEXT)

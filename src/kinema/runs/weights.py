@@ -6,7 +6,6 @@ The header holds one JSON entry, `kinema`: `{"kinema": version, "spec": {"_targe
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,8 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from kinema import __version__
-from kinema.runs.build import build
 from kinema.atomic import replacing
-
-WEIGHTS = "weights.safetensors"
-"""The file's name in a run folder."""
+from kinema.runs.build import build
 
 
 def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any) -> Path:
@@ -36,10 +32,8 @@ def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any)
             f"spec and metadata of {path} must be plain dicts, lists, strings and numbers: {error}"
         ) from None
     try:
-        with replacing(path) as temporary:
+        with replacing(path, sync=True) as temporary:
             save_file(_separate(module.state_dict()), temporary, metadata={"kinema": header})
-            with temporary.open("rb") as file:
-                os.fsync(file.fileno())
     except (OSError, SafetensorError) as error:
         raise OSError(f"could not write {path}: {error}; free disk space or choose another folder") from error
     return path

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from kinema.text.encoders import FrozenTextEncoder, check_texts
+from kinema.text.frozen import FrozenTextEncoder, check_texts
 from kinema.text.packed import PackedFeatures
 from kinema.types import TextFeatures, frame_mask
 

@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kinema.text.encoders import check_texts, encode_in_chunks
 from kinema.text.files import INSTALL, clip_folder, quiet_loading, require, short_hash, weights_file
+from kinema.text.frozen import check_texts, encode_in_chunks
 from kinema.types import TextFeatures
 
 REPOSITORIES = {

@@ -19,7 +19,7 @@ def require(module: str, purpose: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError:
-        raise ImportError(f"{purpose} needs the package {module!r}: {INSTALL}") from None
+        raise ImportError(f"{purpose} needs the package {module.partition('.')[0]!r}: {INSTALL}") from None
 
 
 @contextlib.contextmanager

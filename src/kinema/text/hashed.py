@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import re
 
 import numpy as np
 import torch
 
-from kinema.text.encoders import check_texts
-from kinema.text.minilm import standardise
+from kinema.seeds import word_seed
+from kinema.text.frozen import check_texts, standardise
 from kinema.types import TextFeatures, frame_mask
 
 _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*")
@@ -46,5 +45,4 @@ def split_words(text: str) -> list[str]:
 @functools.lru_cache(maxsize=1 << 16)
 def word_vector(word: str, dim: int) -> np.ndarray:
     """Draw the Gaussian vector of a word, seeded by its SHA-256 (the built-in hash differs between processes)."""
-    seed = int.from_bytes(hashlib.sha256(word.encode()).digest()[:8], "little")
-    return np.random.default_rng(seed).standard_normal(dim).astype(np.float32)
+    return np.random.default_rng(word_seed(word)).standard_normal(dim).astype(np.float32)

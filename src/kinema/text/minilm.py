@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kinema.text.encoders import check_texts, encode_in_chunks
 from kinema.text.files import INSTALL, minilm_folder, quiet_loading, require, short_hash, weights_file
+from kinema.text.frozen import check_texts, encode_in_chunks, standardise
 from kinema.types import TextFeatures
 
 MAX_TOKENS = 256
@@ -61,9 +61,3 @@ class MiniLMTextEncoder:
         hidden = self.model(**batch).last_hidden_state
         mask = batch["attention_mask"][..., None].to(hidden.dtype)
         return standardise((hidden * mask).sum(1) / mask.sum(1)), hidden, batch["attention_mask"].sum(1)
-
-
-def standardise(pooled: Tensor) -> Tensor:
-    """Bring each vector to zero mean and unit variance over its dims."""
-    centred = pooled - pooled.mean(-1, keepdim=True)
-    return centred / centred.square().mean(-1, keepdim=True).sqrt().clamp_min(1e-12)

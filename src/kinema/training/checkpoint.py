@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -10,29 +9,23 @@ from typing import Any
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
+from kinema.atomic import replacing
+
 
 class AtomicCheckpointIO(TorchCheckpointIO):
     """Save through a temporary file and a rename; load plain containers only."""
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
         """Write the checkpoint so that a reader sees the old file or the new one, never a part."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.partial")  # one writer a run: a killed one's is overwritten
         try:
-            with open(temporary, "wb") as file:
+            with replacing(path, sole=True, sync=True) as temporary, open(temporary, "wb") as file:
                 torch.save(checkpoint, file)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, path)
         except (OSError, RuntimeError) as error:
             # torch's zip writer reports a full disk as a RuntimeError without an errno.
             raise OSError(
                 f"could not write checkpoint {path}: {error}; the previous checkpoint is untouched. Free disk space "
                 "and run the same command again: it resumes"
             ) from error
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def load_checkpoint(self, path: str | Path, map_location: Any = None, weights_only: bool | None = True) -> Any:
         """Read a checkpoint; a truncated one is named together with what to do."""

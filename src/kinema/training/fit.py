@@ -13,6 +13,7 @@ from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import TQDMProgressBar
 from torch import Tensor
 
+from kinema.devices import ACCELERATORS
 from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord
 from kinema.training.checkpoint import AtomicCheckpointIO
 from kinema.training.modules import StageModule
@@ -49,6 +50,8 @@ class Machine:
     extra: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.accelerator not in ACCELERATORS:
+            raise ValueError(f"trainer.accelerator={self.accelerator!r}; allowed: {', '.join(ACCELERATORS)}")
         if self.progress not in (*BARS, "none"):
             raise ValueError(f"trainer.progress={self.progress!r}; allowed: {', '.join(BARS)}, none")
 
@@ -128,23 +131,3 @@ def fit(
     weights = {k: v.detach().cpu().clone() for k, v in module.model.state_dict().items()}
     loss = trainer.callback_metrics.get("val/loss")
     return Fitted(weights, trainer.global_step, record.seconds, None if loss is None else float(loss))
-
-
-ACCELERATORS = {
-    "auto": ("cuda", "mps", "cpu"),
-    "gpu": ("cuda", "mps"),
-    "cuda": ("cuda",),
-    "mps": ("mps",),
-    "cpu": ("cpu",),
-}
-
-
-def find_device(accelerator: str) -> str:
-    """Name the torch device that an accelerator stands for here; raises ValueError for one that isn't there."""
-    if accelerator not in ACCELERATORS:
-        raise ValueError(f"trainer.accelerator={accelerator!r}; allowed: {', '.join(ACCELERATORS)}")
-    there = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available(), "cpu": True}
-    for device in ACCELERATORS[accelerator]:
-        if there[device]:
-            return device
-    raise ValueError(f"trainer.accelerator={accelerator} is not to be had on this machine; use trainer=cpu")

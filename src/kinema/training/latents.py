@@ -6,13 +6,12 @@ Continuous latents are kept as float32, codes as int32.
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from kinema.atomic import new_folder
 from kinema.data.datasets import ClipDataset
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Latents, MotionBatch
@@ -62,13 +61,9 @@ class LatentCache:
 
         An interrupted attempt is thrown away by the next.
         """
-        if not (folder / "meta.json").exists():
-            temporary = folder.with_name(f"{folder.name}.partial")
-            shutil.rmtree(temporary, ignore_errors=True)
-            temporary.mkdir(parents=True)
-            cls._write(temporary, tokenizer, clips, device)
-            shutil.rmtree(folder, ignore_errors=True)
-            os.replace(temporary, folder)
+        if not folder.exists():
+            with new_folder(folder, sole=True) as staging:
+                cls._write(staging, tokenizer, clips, device)
         return cls(folder)
 
     @staticmethod

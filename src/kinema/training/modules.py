@@ -7,13 +7,13 @@ resumed run, or one on more processes, sees the draws of an uninterrupted single
 
 from __future__ import annotations
 
-import hashlib
 from typing import Any, Protocol
 
 import torch
 from lightning.pytorch import LightningModule
 from torch import Tensor, nn
 
+from kinema.seeds import training_seed
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, Losses, MotionBatch, TextFeatures
 
@@ -40,12 +40,6 @@ class TextSource(Protocol):
     def __call__(self, texts: list[str]) -> TextFeatures: ...
 
 
-def step_seed(*parts: int | str) -> int:
-    """Mix integers and names into one 63-bit seed."""
-    digest = hashlib.sha256("/".join(map(str, parts)).encode()).digest()
-    return int.from_bytes(digest[:8], "little") >> 1
-
-
 class StageModule(LightningModule):
     """Train one model by its recipe; subclasses say how a batch becomes losses."""
 
@@ -69,8 +63,8 @@ class StageModule(LightningModule):
         self.call = Unregistered(torch.compile(self.model.loss))
 
     def _draws(self, *parts: int | str) -> torch.Generator:
-        torch.manual_seed(step_seed(self.seed, self.global_rank, *parts))
-        return torch.Generator(device=self.device).manual_seed(step_seed(self.seed, *parts))
+        torch.manual_seed(training_seed(self.seed, self.global_rank, *parts))
+        return torch.Generator(device=self.device).manual_seed(training_seed(self.seed, *parts))
 
     def training_step(self, batch: MotionBatch, batch_idx: int) -> Tensor:
         """Log the losses of a training batch and return the first."""

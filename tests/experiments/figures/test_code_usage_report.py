@@ -14,7 +14,7 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.figures import code_usage
 from kinema.experiments.instantiate import read_model
 from kinema.experiments.run import run_stage
-from kinema.runs.folder import console
+from kinema.runs.console import console
 from kinema.types import MotionBatch
 
 

@@ -17,6 +17,7 @@ from kinema.data.synthetic.styles import STYLES, apply, enliven
 from kinema.data.synthetic.tracks import Tracks
 from kinema.data.synthetic.wording import tell
 from kinema.motion.skeleton import get_skeleton
+from kinema.seeds import stream
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 SEQUENCES = 0.2
@@ -39,7 +40,7 @@ def perform(seed: int, index: int, fps: float, *, tags: bool = True) -> Performa
 
     `tags`: some captions are about one of two actions only and carry its seconds.
     """
-    rng = np.random.default_rng([seed, index])
+    rng = stream(seed, index)
     mirrored = bool(rng.random() < 0.5)
     style = str(rng.choice(list(STYLES))) if rng.random() < 0.62 else "neutral"
     sequence = bool(rng.random() < SEQUENCES)
@@ -87,7 +88,7 @@ def synthetic_joints(seed: int, index: int, skeleton: str) -> np.ndarray:
     """
     kind = get_skeleton(skeleton)
     tracks = perform(seed, index, kind.fps, tags=skeleton == "humanml3d").tracks
-    rng = np.random.default_rng([seed, index, 1])
+    rng = stream(seed, index, 1)
     body = Body.average(skeleton).varied(rng)
     turned = rotation(1, rng.uniform(-np.pi, np.pi))
     place = rng.normal(0, 1, 3) * [1, 0, 1] * body.leg

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 
+from kinema.atomic import new_folder
 from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Clip
 from kinema.motion.features import extract
@@ -29,7 +27,7 @@ def write_joints_folder(clips: Iterable[Clip], path: str | Path) -> Path:
     """Write clips of joints as `joints/`, `texts/`, split files and `manifest.json` (the clips' fields)."""
     names: dict[str, list[str]] = {split: [] for split in SPLITS}
     rows = []
-    with _whole(Path(path)) as root:
+    with new_folder(path) as root:
         for clip in clips:
             joints = _loader(clip)()
             _write(root, "joints", clip.name, joints, clip.captions)
@@ -45,7 +43,7 @@ def write_official_folder(clips: Iterable[Clip], path: str | Path, skeleton: str
     names: dict[str, list[str]] = {split: [] for split in SPLITS}
     kind, rows = get_skeleton(skeleton), []
     target = None if kind.bone_lengths is None else "skeleton"
-    with _whole(Path(path)) as root:
+    with new_folder(path) as root:
         for clip in clips:
             joints = _loader(clip)()
             for name, motion, captions in (
@@ -61,21 +59,6 @@ def write_official_folder(clips: Iterable[Clip], path: str | Path, skeleton: str
         np.save(root / "Mean.npy", statistics.mean.astype(np.float32))
         np.save(root / "Std.npy", statistics.std.astype(np.float32))
     return Path(path)
-
-
-@contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """Yield a folder that becomes `path` at the end, or nothing; raises ValueError if something is there."""
-    if path.exists():
-        raise ValueError(f"{path} exists already; delete it or choose another folder")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.mkdir()
-    try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _loader(clip: Clip) -> Callable[[], np.ndarray]:

@@ -7,10 +7,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torchmetrics import Metric
 
+from kinema.data.sampler import LEFTOVERS
 from kinema.evaluation.metrics.finite import require_finite
 
 TOP = 3
-LEFTOVERS = ("drop", "keep", "mld")
 
 
 class Retrieval(Metric):

@@ -1,6 +1,6 @@
 """Draw who sees whom in BAD, as the paper's Figure 2 does: in training and at every step of OAAS.
 
-`python -m kinema.experiments.figures.bad_masks [--out reports/bad_masks]` writes bad_masks.png and bad_masks.txt.
+`kinema figures bad_masks [--out reports/bad_masks]` writes bad_masks.png and bad_masks.txt.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from kinema.atomic import replacing, write_text
-from kinema.experiments.config import CONF
 from kinema.generators.bad.model import BAD
 from kinema.generators.bad.sampling import BadSampling
 from kinema.masking import hybrid_mask
@@ -169,15 +168,11 @@ def write(out: Path) -> list[Path]:
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse the command line and draw."""
-    parser = argparse.ArgumentParser(prog="python -m kinema.experiments.figures.bad_masks", description=__doc__)
-    parser.add_argument("--out", type=Path, default=CONF.parent / "reports" / "bad_masks", help="folder of the figure")
+    parser = argparse.ArgumentParser(prog="kinema figures bad_masks", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("reports/bad_masks"), help="folder of the figure")
     options = parser.parse_args(arguments)
     try:
         for path in write(options.out):
             print(f"wrote     {path}")
     except (OSError, ImportError) as error:
         sys.exit(f"error: {error}")
-
-
-if __name__ == "__main__":
-    main()

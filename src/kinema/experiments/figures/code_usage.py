@@ -1,6 +1,6 @@
 """Compare how trained tokenizers use their codes, redundant beside essential dims (MARDM, Figure 2).
 
-`python -m kinema.experiments.figures.code_usage RUN... [--split test] [--out reports/code_usage]`
+`kinema figures code_usage RUN... [--split test] [--out reports/code_usage]`
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from rich.markup import escape
 
-from kinema.atomic import replacing, write_text
+from kinema.atomic import replacing, write_json, write_text
 from kinema.data.catalog import SPLITS
 from kinema.data.collate import collate
 from kinema.data.datasets import Item
 from kinema.data.store import PackedStore
+from kinema.devices import find_device
 from kinema.evaluation.metrics.code_usage import CodeUsage
-from kinema.experiments.config import CONF
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import read_model
 from kinema.motion.view.draw import new_figure
-from kinema.runs.folder import RunFolder, console, write_json
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
 from kinema.tokenizers import MotionTokenizer
-from kinema.training.fit import find_device
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +38,10 @@ DIMS = ("redundant", "essential")
 
 def main(arguments: list[str] | None = None) -> None:
     """Parse the command line and write the report."""
-    parser = argparse.ArgumentParser(prog="python -m kinema.experiments.figures.code_usage", description=__doc__)
+    parser = argparse.ArgumentParser(prog="kinema figures code_usage", description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help="a folder of runs/tokenizer")
     parser.add_argument("--split", default="test", choices=SPLITS)
-    parser.add_argument("--out", type=Path, default=CONF.parent / "reports" / "code_usage", help="folder of the report")
+    parser.add_argument("--out", type=Path, default=Path("reports/code_usage"), help="folder of the report")
     parser.add_argument("--accelerator", default="auto", help="auto, cpu, gpu, cuda or mps")
     options = parser.parse_intermixed_args(arguments)
     try:
@@ -52,7 +52,7 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(f"error: {error}")
 
 
-def measure(run: Path, split: str = "test", device: str = "cpu") -> dict[str, Any]:
+def measure(run: Path, split: str = "test", device: torch.device | str = "cpu") -> dict[str, Any]:
     """Encode the whole clips of a split with a run's tokenizer, and count its codes.
 
     Raises FileNotFoundError for a folder that holds no finished run, ValueError for one whose latents are no codes.
@@ -177,7 +177,3 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
     if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
     return tokenizer, OmegaConf.load(run / "config.yaml")
-
-
-if __name__ == "__main__":
-    main()

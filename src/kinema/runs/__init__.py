@@ -1,0 +1,1 @@
+"""Keep runs on disk: their folders, weights and parts, and what builds a model again."""

@@ -1,0 +1,72 @@
+"""Say what a frozen text encoder is, and do what all of them do: check texts, encode in chunks, standardise.
+
+An encoder knows its `identity`, `dim` and `token_dim` from its files' headers; its weights are read at the first call.
+It is no nn.Module, so that a model that holds one doesn't register, save, average or distribute it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from kinema.types import TextFeatures, frame_mask
+
+CHUNK = 128
+
+
+class FrozenTextEncoder(Protocol):
+    """Turn texts into features without gradients.
+
+    `identity` names the model and its weights, `dim` is the width of the pooled vector, `token_dim` of the token
+    features. The call returns features on the encoder's device in the order of the texts.
+    """
+
+    identity: str
+    dim: int
+    token_dim: int
+
+    def __call__(self, texts: list[str]) -> TextFeatures: ...
+
+
+def check_texts(texts: list[str]) -> list[str]:
+    """Refuse what no encoder can encode; gives the texts as a list."""
+    if isinstance(texts, str):
+        raise ValueError(f"texts must be a list of strings, got the string {texts!r}; pass [{texts!r}]")
+    texts = list(texts)
+    for i, text in enumerate(texts):
+        if not isinstance(text, str):
+            raise ValueError(f"text {i} is {type(text).__name__} {text!r}; every text must be a string")
+        if not text.strip():
+            raise ValueError(f"text {i} is empty; give every motion a prompt such as 'a person walks forward'")
+    if not texts:
+        raise ValueError("no texts were given; pass at least one string")
+    return texts
+
+
+def encode_in_chunks(texts: list[str], encode: Callable[[list[str]], tuple[Tensor, Tensor, Tensor]]) -> TextFeatures:
+    """Encode texts of similar length together and give the features in the order of the texts.
+
+    `encode` maps a list of texts to (pooled [n c], tokens [n l k], lengths [n]).
+    """
+    order = sorted(range(len(texts)), key=lambda i: len(texts[i]))
+    parts = [encode([texts[i] for i in order[start : start + CHUNK]]) for start in range(0, len(texts), CHUNK)]
+    longest = max(tokens.shape[1] for _, tokens, _ in parts)
+    device = parts[0][0].device
+    back = torch.tensor(order, device=device).argsort()
+    pooled = torch.cat([pooled for pooled, _, _ in parts])[back]
+    tokens = torch.cat([_pad_to(tokens, longest) for _, tokens, _ in parts])[back]
+    mask = frame_mask(torch.cat([lengths for _, _, lengths in parts])[back], longest)
+    return TextFeatures(texts, pooled, tokens * mask[..., None], mask)
+
+
+def _pad_to(tokens: Tensor, size: int) -> Tensor:
+    return torch.nn.functional.pad(tokens, (0, 0, 0, size - tokens.shape[1]))
+
+
+def standardise(pooled: Tensor) -> Tensor:
+    """Bring each vector to zero mean and unit variance over its dims."""
+    centred = pooled - pooled.mean(-1, keepdim=True)
+    return centred / centred.square().mean(-1, keepdim=True).sqrt().clamp_min(1e-12)

@@ -1,0 +1,100 @@
+"""Files and folders are written whole or not at all, whatever fails or is killed in between."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from kinema.atomic import new_folder, replacing, staging_folder, write_json, write_text
+
+
+def test_a_file_takes_its_place_at_the_end(tmp_path):
+    path = write_text(tmp_path / "deep" / "a.txt", "old\n")
+    with replacing(path, sync=True) as temporary:
+        temporary.write_text("new\n")
+        assert temporary.suffix == ".txt"
+        assert path.read_bytes() == b"old\n"
+    assert path.read_bytes() == b"new\n"
+    assert [f.name for f in path.parent.iterdir()] == ["a.txt"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such permissions")
+def test_files_and_folders_are_for_others_to_read_as_the_umask_says(tmp_path):
+    before = os.umask(0o022)
+    try:
+        write_text(tmp_path / "a.txt", "")
+        with new_folder(tmp_path / "b"):
+            pass
+    finally:
+        os.umask(before)
+    assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in "b"] == [0o755]
+    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
+
+
+def fail_within(context, write):
+    with context as temporary:
+        write(temporary)
+        raise RuntimeError("on the way")
+
+
+def half_file(path):
+    path.write_text("half")
+
+
+def half_folder(path):
+    (path / "half").touch()
+
+
+@pytest.mark.parametrize("sole", [False, True])
+def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path, sole):
+    path = write_text(tmp_path / "a.txt", "old\n")
+    with pytest.raises(RuntimeError, match="on the way"):
+        fail_within(replacing(path, sole=sole), half_file)
+    assert path.read_text() == "old\n"
+    assert [f.name for f in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_sole_writer_takes_away_what_a_killed_one_left(tmp_path):
+    killed = replacing(tmp_path / "a.bin", sole=True), new_folder(tmp_path / "run", sole=True)
+    for context, leave in zip(killed, (half_file, half_folder), strict=True):
+        leave(context.__enter__())  # and never comes back
+    assert len(list(tmp_path.iterdir())) == 2
+    with replacing(tmp_path / "a.bin", sole=True) as temporary:
+        temporary.write_text("x")
+    with new_folder(tmp_path / "run", sole=True) as staging:
+        (staging / "whole").touch()
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a.bin", "run", "whole"]
+    assert (tmp_path / "a.bin").read_text() == "x"
+
+
+def test_json_that_cannot_be_written_leaves_the_old_file(tmp_path):
+    write_json(tmp_path / "a.json", {"b": 2, "a": 1})
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "a.json", {"a": object()})
+    assert list(json.loads((tmp_path / "a.json").read_text())) == ["a", "b"]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_folder_is_new_and_whole_or_not_there(tmp_path):
+    with new_folder(tmp_path / "deep" / "run") as staging:
+        (staging / "a").touch()
+        assert not (tmp_path / "deep" / "run").exists()
+    assert [p.name for p in (tmp_path / "deep").rglob("*")] == ["run", "a"]
+    with pytest.raises(ValueError, match="run exists; choose another folder"), new_folder(tmp_path / "deep" / "run"):
+        pass
+    with pytest.raises(RuntimeError, match="on the way"):
+        fail_within(new_folder(tmp_path / "other"), half_folder)
+    with staging_folder(tmp_path / "other") as staging:
+        half_folder(staging)
+    assert [p.name for p in tmp_path.iterdir()] == ["deep"]
+
+
+def test_writers_of_one_file_do_not_disturb_each_other(tmp_path):
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda i: write_json(tmp_path / "a.json", {"a": [i] * 1000}), range(64)))
+    assert len(set(json.loads((tmp_path / "a.json").read_text())["a"])) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]

@@ -1,0 +1,81 @@
+"""One process at a time holds a lock, the others wait and say so once, and a killed one holds nothing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+
+from kinema.locks import hold
+
+HOLDER = """
+import sys
+from kinema.locks import hold
+with hold(sys.argv[1]):
+    print("held", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def start_holder(path) -> subprocess.Popen:
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout.readline() == "held\n"
+    return holder
+
+
+def test_a_second_process_waits_and_says_so_once(tmp_path):
+    path, said = tmp_path / "deep" / ".lock", []
+    holder = start_holder(path)
+
+    def say():
+        said.append(holder.poll())
+        holder.stdin.write("go\n")
+        holder.stdin.flush()
+
+    with hold(path, waiting=say):
+        assert said == [None]  # it was alive when we began to wait
+        assert holder.wait(60) == 0
+    with hold(path, waiting=lambda: said.append("again")):
+        assert said == [None]
+
+
+def test_a_killed_process_frees_its_lock(tmp_path):
+    holder, said = start_holder(tmp_path / ".lock"), []
+
+    def kill():
+        said.append("waiting")
+        holder.kill()
+
+    with hold(tmp_path / ".lock", waiting=kill):
+        assert said == ["waiting"]
+    holder.communicate()
+
+
+def test_threads_exclude_each_other_too(tmp_path):
+    inside, most = [], []
+
+    def work():
+        for _ in range(5):
+            with hold(tmp_path / ".lock"):
+                inside.append(1)
+                most.append(len(inside))
+                inside.pop()
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert most == [1] * 20
+
+
+def test_the_lock_is_free_after_a_failure(tmp_path):
+    try:
+        with hold(tmp_path / ".lock"):
+            raise RuntimeError
+    except RuntimeError:
+        pass
+    with hold(tmp_path / ".lock", waiting=lambda: (_ for _ in ()).throw(AssertionError("still held"))):
+        pass
