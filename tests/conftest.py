@@ -24,7 +24,7 @@ CHECKER = (
     "int: int | __import__('numpy').integer, float: float | int | __import__('numpy').number, "
     "__import__('typing').Self: object})))"
 )
-CHECKED = ("types", "atomic", "masking", "nn", "motion", "data", "diffusion", "decoding")
+CHECKED = ("types", "atomic", "devices", "locks", "seeds", "masking", "nn", "motion", "data", "diffusion", "decoding")
 CHECKED += ("evaluation.metrics", "evaluation.encoders", "training.recipe")
 install_import_hook([f"kinema.{name}" for name in CHECKED], CHECKER)
 
