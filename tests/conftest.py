@@ -24,8 +24,10 @@ CHECKER = (
     "int: int | __import__('numpy').integer, float: float | int | __import__('numpy').number, "
     "__import__('typing').Self: object})))"
 )
-CHECKED = ("types", "atomic", "devices", "locks", "seeds", "masking", "nn", "motion", "data", "diffusion", "decoding")
-CHECKED += ("evaluation.metrics", "evaluation.encoders", "training.recipe")
+CHECKED = ("types", "atomic", "locks", "seeds", "devices", "masking", "nn", "motion", "data", "diffusion", "decoding")
+CHECKED += ("runs", "evaluation.metrics", "evaluation.encoders", "training.recipe")
+# Not `text.hashed` and `text.cache`: their tests pass what is no text, which they refuse by themselves.
+CHECKED += tuple(f"text.{name}" for name in ("clip", "files", "frozen", "minilm", "packed", "tokens", "vip", "words"))
 install_import_hook([f"kinema.{name}" for name in CHECKED], CHECKER)
 
 # Nothing depends on chance, on time or on what a run before found.

@@ -37,7 +37,7 @@ class _Movable:
 
 @dataclass
 class MotionBatch(_Movable):
-    """Hold full-width, de-normalised motion features; frames past the length are zero.
+    """Hold de-normalised motion features, all columns or the essential ones; frames past the length are zero.
 
     `entries` and `starts` name the crop (row of the corpus index, first frame), so that what is computed from a crop
     can be cached. `captions` and `clip_ids` are empty for windows without text.

@@ -12,8 +12,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import CONF, compose, plain, validate
-from kinema.experiments.instantiate import model_spec
-from kinema.experiments.stages import STAGES
+from kinema.experiments.stages import get_stage, stages
 from kinema.experiments.tables import load_table
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs.build import build
@@ -52,7 +51,7 @@ def resolved(*overrides: str) -> dict:
 
 def stage_model(stage: str, *overrides: str, cfg: DictConfig | None = None) -> torch.nn.Module:
     """Build a stage's model, without memory where it can be, or skip if its library is not installed."""
-    spec = model_spec(cfg or composed(*OFFLINE, *overrides), STAGES[stage])
+    spec = get_stage(stage).spec(cfg or composed(*OFFLINE, *overrides))
     for name, library in LIBRARIES.items():
         if name in str(spec):
             pytest.importorskip(library, reason="needs the extra kinema[text] or kinema[vq]")
@@ -94,7 +93,7 @@ def test_every_part_builds_where_it_fits(group, option):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, corpus):
     cfg = composed(*OFFLINE, f"method={method}", f"scale={scale}", f"data={corpus}")
-    models = {name: stage_model(name, cfg=cfg) for name, stage in STAGES.items() if stage.present(cfg)}
+    models = {name: stage_model(name, cfg=cfg) for name, stage in stages().items() if stage.present(cfg)}
     assert all(size(model) > 0 for model in models.values())
     assert cfg.generator.get("predicts_length", False) == models["generator"].predicts_length
     for name in {"generator", "residual"} & models.keys():
@@ -134,7 +133,7 @@ def test_paper_models_have_the_published_sizes(method):
     assert size(stage_model("generator", cfg=cfg)) == generator
     for corpus, tokenizer in tokenizers.items():
         assert size(stage_model("tokenizer", cfg=at_paper_scale(method, corpus))) == tokenizer
-    if STAGES["residual"].present(cfg):
+    if get_stage("residual").present(cfg):
         assert size(stage_model("residual", cfg=cfg)) == 13_364_224
 
 

@@ -12,8 +12,7 @@ from kinema.data.datamodule import MotionDataModule
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
-from kinema.experiments.instantiate import model_spec
-from kinema.experiments.stages import STAGES
+from kinema.experiments.stages import get_stage
 from kinema.motion.representation import Representation
 from kinema.runs.build import build
 from kinema.text.encoders import build_text_encoder
@@ -51,7 +50,7 @@ class Workshop:
 
     def make(self, stage: str, *overrides: str) -> torch.nn.Module:
         torch.manual_seed(0)
-        spec = model_spec(self.cfg(*overrides), STAGES[stage])
+        spec = get_stage(stage).spec(self.cfg(*overrides))
         model = build(spec)
         model.spec = spec
         for part in model.modules():

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from kinema.experiments.config import CONF
-from kinema.experiments.stages import STAGES
+from kinema.experiments.stages import get_stage
 from kinema.generators import Generator
 from kinema.pipeline import TextToMotion
 from kinema.types import Latents
@@ -39,7 +39,7 @@ def make(workshop):
             pytest.importorskip("transformers", reason="needs the extra kinema[text]")
         choice = f"method={method}"
         tokenizer = workshop.tokenizer(choice)
-        stages = ["generator"] + (["residual"] if STAGES["residual"].present(workshop.cfg(choice)) else [])
+        stages = ["generator"] + (["residual"] if get_stage("residual").present(workshop.cfg(choice)) else [])
         models = [workshop.make(stage, choice) for stage in stages]
         with torch.no_grad():
             latents = tokenizer.encode(workshop.clips())

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 
 import lightning as L
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -111,6 +112,24 @@ def test_clips_of_a_corpus_without_captions_fail_before_training(joints_corpus, 
     with pytest.raises(ValueError, match="no captions"):
         MotionDataModule(path, kind="clips", batch_size=1, steps=1).setup("fit")
     MotionDataModule(path, kind="windows", batch_size=1, steps=1).setup("fit")
+
+
+@pytest.mark.parametrize("kind", ["windows", "clips"])
+def test_essential_dims_are_a_view_of_the_first_columns(store, kind):
+    whole, narrow = (module(store, kind=kind, dims=dims) for dims in ("redundant", "essential"))
+    for loader in ("train_dataloader", "val_dataloader"):
+        for all_columns, first in zip(getattr(whole, loader)(), getattr(narrow, loader)(), strict=True):
+            assert torch.equal(first.features, all_columns.features[..., :67])
+            assert first.clip_ids == all_columns.clip_ids
+    batches = (next(data.test_batches("test", 0, 0, batch_size=4)) for data in (whole, narrow))
+    assert [batch.features.shape[-1] for batch in batches] == [263, 67]
+    served = narrow.dataset("train")
+    assert np.shares_memory(served[0, 0].features, served.store.features)
+
+
+def test_unknown_dims_are_named(store):
+    with pytest.raises(ValueError, match="unknown dims 'joints'; choose one of essential, redundant"):
+        module(store, dims="joints").setup("fit")
 
 
 def test_unknown_kind_is_named(store):

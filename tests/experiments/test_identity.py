@@ -8,21 +8,21 @@ from kinema.experiments import identity
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import describe
 from kinema.experiments.identity import fingerprint, stage_identity
-from kinema.experiments.stages import STAGES
+from kinema.experiments.stages import get_stage, stages
 
 
 def named(stage: str, *overrides: str, corpus: str = "corpus") -> str:
     own = ["method=momask"] if stage == "residual" else []
-    return fingerprint(stage_identity(compose([*own, *overrides]), STAGES[stage], corpus))
+    return fingerprint(stage_identity(compose([*own, *overrides]), get_stage(stage), corpus))
 
 
 @pytest.fixture(scope="module")
 def plain_names() -> dict[str, str]:
-    return {stage: named(stage) for stage in STAGES}
+    return {stage: named(stage) for stage in stages()}
 
 
 def test_every_stage_has_its_own_name_that_does_not_change(plain_names):
-    assert len(set(plain_names.values())) == len(STAGES)
+    assert len(set(plain_names.values())) == len(stages())
     assert plain_names["generator"] == named("generator")
 
 
@@ -58,7 +58,7 @@ def test_what_changes_the_result_changes_the_name(stage, override, plain_names):
     assert named(stage, override) != plain_names[stage]
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", stages())
 def test_another_corpus_is_another_run(stage, plain_names):
     assert named(stage, corpus="other") != plain_names[stage]
 
@@ -88,7 +88,7 @@ MACHINE = [
 ]
 
 
-@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("stage", stages())
 def test_machine_and_bookkeeping_change_nothing(stage, plain_names):
     assert named(stage, *MACHINE) == plain_names[stage]
 

@@ -13,6 +13,7 @@ import pytest
 from kinema.experiments import training
 from kinema.experiments.config import compose
 from kinema.experiments.run import run_stage
+from kinema.experiments.stages.base import Summary
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
@@ -26,12 +27,12 @@ def fake_training(monkeypatch):
     """Replace training by a file of weights; gives the list of what was trained."""
     trained = []
 
-    def train(cfg, stage, store, folder, upstream):
+    def train(stage, cfg, store, needs, folder):
         trained.append(stage.name)
         folder.weights.write_bytes(b"weights")
-        return {"seconds": 1.0}
+        return Summary(1.0)
 
-    monkeypatch.setattr(training, "train_stage", train)
+    monkeypatch.setattr(training, "make_model", train)
     return trained
 
 
@@ -39,7 +40,7 @@ def test_a_finished_run_is_given_back_untouched(micro, monkeypatch):
     cfg = compose([*micro, "stage=generator"])
     first = run_stage(cfg, "generator")
     files = {p: p.stat().st_mtime_ns for p in first.path.rglob("*") if p.is_file()}
-    monkeypatch.setattr(training, "train_stage", lambda *_: pytest.fail("trained again"))
+    monkeypatch.setattr(training, "make_model", lambda *_: pytest.fail("trained again"))
     with console.capture() as said:
         again = run_stage(compose([*micro, "trainer.log_every=7", "data.workers=3"]), "generator")
     assert again.path == first.path
@@ -82,18 +83,18 @@ def test_upstream_is_trained_where_it_is_missing_and_once(overrides, fake_traini
 def test_one_of_two_who_want_the_same_run_trains_it(overrides, monkeypatch):
     trained, waiting, said = [], threading.Event(), []
 
-    def train(cfg, stage, store, folder, upstream):
+    def train(stage, cfg, store, needs, folder):
         trained.append(threading.current_thread().name)
         assert waiting.wait(60)
         folder.weights.write_bytes(b"weights")
-        return {"seconds": 1.0}
+        return Summary(1.0)
 
     def listen(text, *_, **__):
         said.append(text)
         if text.startswith("waiting"):
             waiting.set()
 
-    monkeypatch.setattr(training, "train_stage", train)
+    monkeypatch.setattr(training, "make_model", train)
     monkeypatch.setattr(console, "print", listen)
     cfg = compose(overrides)
     threads = [threading.Thread(target=run_stage, args=(cfg, "tokenizer")) for _ in range(2)]
@@ -120,19 +121,19 @@ def test_two_processes_share_one_run(overrides):
 
 
 def test_a_failed_run_says_why_and_can_be_run_again(overrides, fake_training, monkeypatch):
-    cfg, train = compose(overrides), training.train_stage
+    cfg, train = compose(overrides), training.make_model
 
     def fail(*_):
         raise RuntimeError("out of luck")
 
-    monkeypatch.setattr(training, "train_stage", fail)
+    monkeypatch.setattr(training, "make_model", fail)
     with pytest.raises(RuntimeError, match="out of luck"):
         run_stage(cfg, "tokenizer")
     (folder,) = [RunFolder(p) for p in Path(cfg.paths.runs, "tokenizer").iterdir()]
     assert folder.status["state"] == "failed"
     assert folder.status["error"] == "RuntimeError: out of luck"
     assert not folder.done
-    monkeypatch.setattr(training, "train_stage", train)
+    monkeypatch.setattr(training, "make_model", train)
     assert run_stage(cfg, "tokenizer").done
     assert "error" not in folder.status
 

@@ -64,12 +64,16 @@ def clip_of(corpus: Path, split: str = "train") -> Path:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["data=open_mocp"], ["open_mocp", "Available options", "open_mocap"]),
+        (["data=open_mocp"], ["error: data=open_mocp is no option; data has custom, humanml3d, kit_ml, open_mocap"]),
         (["scale=huge"], ["huge", "paper", "smoke", "tiny"]),
-        (["generator.train.stepz=3"], ["stepz"]),
+        (["generator.train.stepz=3"], ["generator.train.stepz is no option; generator.train has batch_size, betas"]),
+        (["logger.gruop=x"], ["error: logger.gruop is no option; logger has mode, names, project"]),
+        (["+logger.group=x"], ["error: logger.group is no option; logger has mode, names, project"]),
+        (["+trainer.deterministic=true"], ["error: trainer.deterministic is no option; trainer has accelerator"]),
+        (["metod=mmm"], ["error: metod is no option; the configuration has callbacks, data"]),
+        (["generator.train.lr"], ["error: ", "missing EQUAL"]),
         (["+generator.train.stepz=3"], ["error: train config", "stepz", "Recipe"]),
-        (["unknown=3"], ["unknown"]),
-        (["stage=generater"], ["stage='generater' is unknown; allowed: tokenizer, generator"]),
+        (["stage=generater"], ["stage='generater' is unknown; allowed: contrastive, decomposition"]),
         (["seed=-1"], ["seed=-1; it must be an integer of at least 0"]),
         (["data=custom"], ["error: config: Missing mandatory value", "set data.source"]),
         (["trainer.progress=loud"], ["trainer.progress='loud'; allowed: rich, tqdm, none"]),
@@ -92,8 +96,8 @@ def test_wrong_evaluations_are_named(refused, tmp_path):
     assert "source='gen' is unknown; allowed: real, shuffled" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
-    assert "train it with `kinema train stage=matching data=synthetic" in message
-    assert not (tmp_path / "runs" / "matching").exists()
+    assert "train it with `kinema train stage=contrastive data=synthetic" in message
+    assert not (tmp_path / "runs" / "contrastive").exists()
 
 
 def no_split(corpus: Path) -> None:

@@ -90,13 +90,12 @@ def test_ids_out_of_range_and_foreign_codebooks(workshop_parts):
 def workshop_parts(overrides):
     from kinema.data.store import PackedStore
     from kinema.experiments.corpus import open_corpus
-    from kinema.experiments.instantiate import model_spec
-    from kinema.experiments.stages import STAGES
+    from kinema.experiments.stages import get_stage
     from kinema.runs.build import build
 
     cfg = compose_micro(overrides, "method=mmm")
     torch.manual_seed(0)
-    tokenizer, generator = (build(model_spec(cfg, STAGES[name])) for name in ("tokenizer", "generator"))
+    tokenizer, generator = (build(get_stage(name).spec(cfg)) for name in ("tokenizer", "generator"))
     tokenizer.representation.fit(PackedStore.open(open_corpus(cfg)).statistics)
     tokenizer.codebook.copy_(torch.randn_like(tokenizer.codebook))
     generator.set_codebook(tokenizer.codebook)

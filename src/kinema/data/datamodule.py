@@ -24,7 +24,10 @@ VALIDATION_SEED = 0
 
 
 class MotionDataModule(L.LightningDataModule):
-    """Serve windows (tokenizers) or captioned clips (generators, evaluators) as batches of full-width features.
+    """Serve windows (tokenizers) or captioned clips (generators, evaluators) as batches of de-normalised features.
+
+    `dims` are the columns that are read: "essential" is a view of a quarter of the bytes, "redundant" all. Statistics
+    are the models'.
 
     Training is counted in steps: the training loader has `steps` batches of `batch_size` (all ranks together), a pure
     function of `seed`, and goes on where the trainer stands. Train with `Trainer(max_steps=steps, ...)`, and under DDP
@@ -45,6 +48,7 @@ class MotionDataModule(L.LightningDataModule):
         val_batch_size: int | None = None,
         val_limit: int | None = None,
         legacy_windows: bool = False,
+        dims: Literal["essential", "redundant"] = "redundant",
         start_method: Literal["fork", "spawn", "forkserver"] | None = None,
     ) -> None:
         super().__init__()
@@ -52,7 +56,7 @@ class MotionDataModule(L.LightningDataModule):
             raise ValueError(f"unknown kind {kind!r} of data; choose one of {', '.join(KINDS)}")
         self.path, self.kind, self.batch_size, self.steps = Path(store), kind, batch_size, steps
         self.window, self.seed, self.legacy_windows = window, seed, legacy_windows
-        self.num_workers, self.start_method = num_workers, start_method
+        self.dims, self.num_workers, self.start_method = dims, num_workers, start_method
         self.val_batch_size, self.val_limit = val_batch_size or batch_size, val_limit
 
     @cached_property
@@ -63,8 +67,8 @@ class MotionDataModule(L.LightningDataModule):
     def dataset(self, split: str) -> WindowDataset | ClipDataset:
         """Return the items of a split, of this module's kind."""
         if self.kind == "windows":
-            return WindowDataset(self.store, split, self.window, legacy=self.legacy_windows)
-        return ClipDataset(self.store, split)
+            return WindowDataset(self.store, split, self.window, legacy=self.legacy_windows, dims=self.dims)
+        return ClipDataset(self.store, split, dims=self.dims)
 
     def setup(self, stage: str | None = None) -> None:
         """Check the corpus before the first batch, so that a wrong one fails at once."""
@@ -111,7 +115,7 @@ class MotionDataModule(L.LightningDataModule):
         """
         if leftover not in LEFTOVERS:
             raise ValueError(f"unknown leftover {leftover!r}; choose one of {', '.join(LEFTOVERS)}")
-        dataset = ClipDataset(self.store, split)
+        dataset = ClipDataset(self.store, split, dims=self.dims)
         if leftover == "drop" and len(dataset) < batch_size:
             raise ValueError(
                 f"split {split!r} of {self.store.name!r} has {len(dataset)} entries, fewer than one batch of "

@@ -14,7 +14,7 @@ from kinema.types import Caption
 
 @dataclass
 class Item:
-    """Hold one crop: full-width features, and where they come from (row of the index, first frame)."""
+    """Hold one crop: features (a view of the store), and where they come from (row of the index, first frame)."""
 
     features: Float[np.ndarray, "t d"]
     entry: int
@@ -27,13 +27,17 @@ class WindowDataset(Dataset[Item]):
     """Serve every window of every clip of a split, for tokenizers (MARDM §2).
 
     An item's `entry` is a row of `store.clips`. `legacy` reproduces the published item space: a clip's last start is
-    never used, so that a clip of `window` frames contributes nothing, and items 0 and 1 are the same.
+    never used, so that a clip of `window` frames contributes nothing, and items 0 and 1 are the same. `dims` names the
+    columns that are served.
     """
 
-    def __init__(self, store: PackedStore, split: str, window: int = 64, *, legacy: bool = False) -> None:
+    def __init__(
+        self, store: PackedStore, split: str, window: int = 64, *, legacy: bool = False, dims: str = "redundant"
+    ) -> None:
         if window < 1:
             raise ValueError(f"window must be at least 1 frame, not {window}")
         self.store, self.split, self.window, self.legacy = store, split, window, legacy
+        self.width = store.skeleton.width_of(dims)
         clips = store.split_clips(split)
         frames = store.clips["frames"][clips]
         self.clips = clips[frames >= window]
@@ -62,7 +66,7 @@ class WindowDataset(Dataset[Item]):
     def __getitem__(self, item: tuple[int, int]) -> Item:
         row, start = self.locate(item[0])
         clip = int(self.clips[row])
-        features = self.store.clip_frames(clip)[start : start + self.window]
+        features = self.store.clip_frames(clip)[start : start + self.window, : self.width]
         return Item(features, clip, start, self.store.clip_name(clip))
 
 
@@ -71,6 +75,7 @@ class ClipDataset(Dataset[Item]):
 
     The crop's length is a multiple of `unit`: with probability 2/3 the greatest, with 1/3 one unit less; its start and
     the caption are uniform (MARDM §2). `min_frames` and `max_frames` (exclusive) narrow the store's length filter.
+    `dims` names the columns that are served.
     """
 
     def __init__(
@@ -82,8 +87,10 @@ class ClipDataset(Dataset[Item]):
         max_frames: int | None = None,
         unit: int = 4,
         captions_required: bool = True,
+        dims: str = "redundant",
     ) -> None:
         self.store, self.split, self.unit = store, split, unit
+        self.width = store.skeleton.width_of(dims)
         entries = store.split_entries(split, captions_required=captions_required)
         if captions_required and len(entries) == 0 and len(store.split_entries(split, captions_required=False)):
             raise ValueError(
@@ -112,7 +119,7 @@ class ClipDataset(Dataset[Item]):
         frames = crop_frames(int(row["frames"]), self.unit)[shorter]
         start = int(draw.integers(row["frames"] - frames + 1))
         caption = None if which is None else self.store.caption(int(row["caption"]) + which)
-        features = self.store.frames_of(entry)[start : start + frames]
+        features = self.store.frames_of(entry)[start : start + frames, : self.width]
         return Item(features, entry, start, self.store.entry_name(entry), caption)
 
     def crops(self, entry: int) -> list[tuple[int, int]]:

@@ -32,13 +32,14 @@ class Source(ABC):
 
     `seeds` hold one seed per row, and a row's answer depends on its own seed only. `multimodal`: other seeds give
     other motions. `reconstructs`: row i is meant to equal row i of the batch, frame by frame. `text_encoder` is what
-    reads the captions (None: nothing does).
+    reads the captions (None: nothing does), `dims` the columns of the batch that it reads.
     """
 
     label: str
     multimodal: bool = False
     reconstructs: bool = False
     text_encoder: TextEncoder | None = None
+    dims: str = "essential"
 
     @abstractmethod
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
@@ -86,6 +87,7 @@ class Reconstruction(Source):
 
     def __init__(self, tokenizer: MotionTokenizer) -> None:
         self.tokenizer, space = tokenizer.eval(), tokenizer.space
+        self.dims = tokenizer.representation.kind
         self.usage = None
         if space.kind == "codes":
             self.usage = CodeUsage(space.codebook_size, space.quantizers, sync_on_compute=False)
@@ -243,6 +245,7 @@ class Edited(Source):
         task_slots(task, torch.ones(1, dtype=torch.int64))  # an unknown task is refused before anything is computed
         model.tokenizer.space.in_time("editing")
         self.model, self.task, self.paste, self.sampling, self.label = model.eval(), task, paste, sampling, label
+        self.dims = model.tokenizer.representation.kind
         self.text_encoder = model.text_encoder
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hydra.errors import HydraException
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
 
@@ -16,7 +16,6 @@ def find_conf(package: Path) -> Path:
 
 
 CONF = find_conf(Path(__file__).resolve().parents[1])
-STAGES = ("tokenizer", "generator", "residual", "length", "decomposition", "matching", "contrastive")
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 TYPICAL = {
@@ -55,8 +54,19 @@ def compose(overrides: list[str], config_name: str = "train") -> DictConfig:
     return cfg
 
 
-def explain(error: HydraException) -> str:
-    """Say what is wrong with an override: of an option that isn't there, name those that are."""
+def explain(error: Exception) -> str:
+    """Say what is wrong with an override or a value: of an option that isn't there, name those that are."""
+    if isinstance(error, OmegaConfBaseException):
+        key, hint = error.full_key, ""
+        if isinstance(error, InterpolationKeyError):
+            reader = f"{key} reads it: " if key else ""
+            hint = f" ({reader}parts of different methods? choose the method=... that these parts belong to)"
+        elif key:
+            hint = f" (set {key})"
+        return f"config: {str(error).splitlines()[0]}{hint}"
+    if isinstance(error, MissingConfigException) and error.options:
+        group, _, option = str(error.missing_cfg_file).rpartition("/")
+        return f"{group}={option} is no option; {group} has {', '.join(error.options)}"
     cause = error.__cause__
     if not isinstance(cause, OmegaConfBaseException) or not isinstance(cause.parent_node, DictConfig):
         return str(error)
@@ -72,19 +82,13 @@ def plain(node: Any) -> Any:
     try:
         return OmegaConf.to_container(node, resolve=True, throw_on_missing=True)
     except OmegaConfBaseException as error:
-        key = getattr(error, "full_key", None)
-        hint = f" (set {key})" if key else ""
-        if isinstance(error, InterpolationKeyError):
-            hint = f" ({key} reads it: parts of different methods? choose the method=... that these parts belong to)"
-        raise ValueError(f"config: {str(error).splitlines()[0]}{hint}") from None
+        raise ValueError(explain(error)) from None
 
 
 def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
     check_options(cfg)
     checks = []
-    if "stage" in cfg:
-        checks.append(("stage", cfg.stage, STAGES))
     if "source" in cfg:
         checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
         checks.append(("edit.task", cfg.edit.task, EDITS))

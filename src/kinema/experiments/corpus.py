@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -27,13 +26,7 @@ def open_corpus(cfg: DictConfig) -> Path:
     )
 
 
-def require_captions(store: Path, *splits: str) -> None:
+def require_captions(store: PackedStore, *splits: str) -> None:
     """Check that the splits have captioned clips of a usable length, before hours are spent on what comes first."""
-    opened = PackedStore.open(store)
     for split in splits:
-        ClipDataset(opened, split)
-
-
-def manifest(store: Path) -> dict:
-    """Read a store's manifest; its `hash` identifies the content."""
-    return json.loads((store / "manifest.json").read_text())
+        ClipDataset(store, split)

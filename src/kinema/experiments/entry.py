@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
-from kinema.experiments.config import CONF, refuse_processes, register_resolvers
+from kinema.experiments.config import CONF, explain, refuse_processes, register_resolvers
 
 
 def train(arguments: Sequence[str] | None = None) -> None:
@@ -54,7 +57,10 @@ def _run(config_name: str, task: Callable[[DictConfig], None], arguments: Sequen
     register_resolvers()
     if arguments is not None:
         sys.argv = [given[0], *arguments]
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises what it would print: `explain` names the options there are
     try:
         hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
+    except (HydraException, OmegaConfBaseException) as error:
+        sys.exit(f"error: {explain(error)}")
     finally:
         sys.argv = given

@@ -3,37 +3,42 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import manifest, open_corpus, require_captions
+from kinema.experiments.corpus import open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, run_identity
-from kinema.experiments.run import check_parts, command, run_stage, stage_folder
-from kinema.experiments.stages import STAGES
+from kinema.experiments.run import command, run_stage, stage_folder
+from kinema.experiments.stages import companions_of, get_stage, judges, stages
+from kinema.experiments.stages.base import Stage, asked_for, given_run
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
-from kinema.runs.parts import upstream
 from kinema.runs.versions import versions
-
-NEEDS = {"real": (), "shuffled": (), "nearest": (), "noise": ("tokenizer",), "reconstruction": ("tokenizer",)}
-"""The runs a source reads beside the judges'; generation reads the generator's, which knows its tokenizer, the residual
-transformer's where the method has one, and the length estimator's where lengths are predicted by one."""
-
-JUDGES = ("matching", "contrastive")
 
 
 @dataclass(frozen=True)
 class Row:
-    """Hold an evaluation's place, what it reads and how many replications it has."""
+    """Hold an evaluation's place, the runs it reads by stage, and how many replications it has.
+
+    `subject` is the run whose motion is judged (none: real motion), `beside` its companions (None: without it).
+    """
 
     folder: RunFolder
-    runs: dict[str, Path]
+    judges: dict[str, Path]
+    subject: dict[str, Path]
+    beside: dict[str, Path | None]
     replications: int
+
+    @property
+    def runs(self) -> dict[str, Path]:
+        """All runs it reads."""
+        return self.judges | self.subject | {name: run for name, run in self.beside.items() if run is not None}
 
     @property
     def lines(self) -> list[dict[str, Any]]:
@@ -45,20 +50,35 @@ class Row:
 def describe(cfg: DictConfig) -> Row:
     """Find the folder of an evaluation without running anything."""
     validate(cfg)
-    store = open_corpus(cfg)
-    corpus = manifest(store)["hash"]
-    runs = {name: stage_folder(cfg, STAGES[name], corpus).path for name in JUDGES}
-    given = plain(cfg.get("evaluators") or {})
-    runs |= {stage: Path(given[key]) for stage, key in (("matching", "t2m"), ("contrastive", "clip")) if given.get(key)}
-    for name in NEEDS[cfg.source] if cfg.source in NEEDS else _generation_needs(cfg):
-        runs[name] = _given_run(cfg, name) or stage_folder(cfg, STAGES[name], corpus).path
-    protocol = plain(cfg.scale.protocol)
-    replications = protocol.pop("replications")
+    corpus = PackedStore.open(open_corpus(cfg)).hash
+
+    def found(stage: Stage) -> Path:
+        return stage.given(cfg) or stage_folder(cfg, stage, corpus).path
+
+    scored = [stage for stage in stages().values() if stage.scored(cfg)]
+    companions = [other for stage in scored for other in companions_of(stage)]
+    row = Row(
+        RunFolder(Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs) / "evaluation"),
+        judges={stage.name: found(stage) for stage in judges().values()},
+        subject={stage.name: found(stage) for stage in scored},
+        beside={stage.name: found(stage) if stage.beside(cfg) else None for stage in companions},
+        replications=cfg.scale.protocol.replications,
+    )
+    identity = _identity(cfg, row, corpus)
+    what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
+    run = asked_for(cfg)
+    who = f"-{cfg.method.name if run is None else run.name}-{cfg.representation.kind}"
+    name = f"{what}{who if row.subject else ''}-s{cfg.seed}-{fingerprint(identity)}"
+    return replace(row, folder=RunFolder(row.folder.path / name))
+
+
+def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
+    """Collect what determines a row's results, whatever the number of replications."""
     identity = {
         "source": cfg.source,
         "corpus": corpus,
-        "protocol": protocol,
-        "runs": {name: fingerprint(run_identity(path)) for name, path in runs.items()},
+        "protocol": {k: v for k, v in plain(cfg.scale.protocol).items() if k != "replications"},
+        "runs": {name: fingerprint(run_identity(path)) for name, path in row.runs.items()},
         "sampling": plain(cfg.generator.sampling) if cfg.source == "generation" else None,
         "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
     }
@@ -66,37 +86,10 @@ def describe(cfg: DictConfig) -> Row:
         identity["edit"] = plain(cfg.edit)
     elif cfg.source == "generation" and cfg.lengths != "real":
         identity["lengths"] = cfg.lengths
-    if any(given.values()):
+    if any((cfg.get("evaluators") or {}).values()):
         # Imported judges have no fingerprint that would hold what they read captions with.
         identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}
-    own_run = cfg.source == "generation" or (cfg.source in NEEDS and NEEDS[cfg.source])
-    who = f"-{Path(cfg.run).name if cfg.get('run') else cfg.method.name}" if own_run else ""
-    what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
-    own = f"{who}-{cfg.representation.kind}" if who else ""
-    name = f"{what}{own}-s{cfg.seed}-{fingerprint(identity)}"
-    root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
-    return Row(RunFolder(root / "evaluation" / name), runs, replications)
-
-
-def _generation_needs(cfg: DictConfig) -> list[str]:
-    needs = ["generator"]
-    linked = upstream(Path(cfg.run)) if cfg.get("run") else None
-    has_residual = STAGES["residual"].present(cfg) if linked is None else "residual" in linked
-    predicted = cfg.task == "generation" and cfg.lengths == "predicted"
-    estimated = predicted and not cfg.generator.get("predicts_length")
-    if has_residual:
-        needs.append("residual")
-    if estimated and (linked is None or "length" in linked):
-        needs.append("length")
-    return needs
-
-
-def _given_run(cfg: DictConfig, stage: str) -> Path | None:
-    """Return the run that `run=` names, or the part of the generator that it names; `tokenizer_run=` likewise."""
-    if not cfg.get("run"):
-        return Path(cfg.tokenizer_run) if stage == "tokenizer" and cfg.tokenizer_run else None
-    links = upstream(Path(cfg.run))
-    return links[stage] if stage in links else Path(cfg.run)
+    return identity
 
 
 def run_evaluation(cfg: DictConfig) -> Row:
@@ -105,8 +98,8 @@ def run_evaluation(cfg: DictConfig) -> Row:
     if len(row.lines) == row.replications:
         console.print(f"cached    {row.folder.path}")
         return row
-    for name in _own_stages(cfg, row):
-        run_stage(cfg, name, quiet=True)
+    for stage in _unfinished(cfg, row):
+        run_stage(cfg, stage.name, quiet=True)
     with row.folder.lock():
         done = {line["replication"] for line in row.lines}
         missing = [r for r in range(row.replications) if r not in done]
@@ -115,29 +108,20 @@ def run_evaluation(cfg: DictConfig) -> Row:
     return row
 
 
-def _own_stages(cfg: DictConfig, row: Row) -> list[str]:
-    """Return the stages that the configuration describes; what is wrong is told before any of them trains."""
-    store, own = open_corpus(cfg), []
+def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
+    """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
+    store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
-    if not cfg.get("run") and "generator" in row.runs:
-        for name in ("generator", "residual"):
-            check_parts(cfg, STAGES[name])
-    corpus = manifest(store)["hash"]
-    for name, path in row.runs.items():
-        run = RunFolder(path)
-        if stage_folder(cfg, STAGES[name], corpus).path != path:
-            if not run.weights.exists():
-                raise FileNotFoundError(
-                    f"{path} holds no {run.weights.name}; give the folder of a finished or imported run"
-                )
-            continue
-        if not run.done and not cfg.ensure:
+    wanted = [get_stage(name) for name in row.runs]
+    found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
+    for stage in found:
+        if not cfg.ensure:
             raise FileNotFoundError(
-                f"source {cfg.source} needs the {name} run {path}, which isn't finished; train it with "
-                f"`{command(cfg, STAGES[name])}` or set ensure=true"
+                f"source {cfg.source} needs the {stage.name} run {row.runs[stage.name]}, which isn't finished; train "
+                f"it with `{command(cfg, stage)}` or set ensure=true"
             )
-        own.append(name)
-    return own
+        stage.check(cfg, store)
+    return found
 
 
 def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:
@@ -147,7 +131,7 @@ def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:
     resolved = plain(cfg)
     resolved.pop("hydra", None)
     OmegaConf.save(OmegaConf.create(resolved), row.folder.path / "config.yaml")
-    scorer = Scorer(cfg, row.runs, open_corpus(cfg))
+    scorer = Scorer(cfg, row, open_corpus(cfg))
     software = versions()
     for replication in missing:
         started = time.monotonic()

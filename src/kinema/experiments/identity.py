@@ -10,15 +10,13 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain
-from kinema.experiments.stages import STAGES, Stage
+from kinema.experiments.stages import needs_of
+from kinema.experiments.stages.base import Stage
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import TEXT, upstream
 
-IDENTITY_VERSION = 1
+IDENTITY_VERSION = 2
 """Raised when a change of the code changes what a config means: old runs are then not taken for new ones."""
-
-PACE = ("validate_every", "checkpoint_every", "val_batches")
-"""Keys of a recipe that can't change the weights where the last ones are kept."""
 
 
 def fingerprint(value: Any) -> str:
@@ -29,30 +27,20 @@ def fingerprint(value: Any) -> str:
 
 def stage_identity(cfg: DictConfig, stage: Stage, corpus_hash: str) -> dict[str, Any]:
     """Collect what determines a stage's weights: its config, the corpus, the seed and its upstream runs."""
-    own = plain(stage.config(cfg))
-    train = dict(own["train"])
-    if train.get("select", "last") == "last":
-        train = {k: v for k, v in train.items() if k not in PACE}
-    else:
-        train.pop("checkpoint_every", None)
     return {
         "version": IDENTITY_VERSION,
         "stage": stage.name,
         "corpus": corpus_hash,
         "seed": cfg.seed,
-        "model": own["model"],
-        "train": train,
-        "precision": cfg.trainer.precision,
-        "debug": cfg.debug.steps,
+        "settings": stage.settings(cfg),
         "reads": {key: plain(OmegaConf.select(cfg, key)) for key in stage.reads},
-        "upstream": {name: _upstream(cfg, STAGES[name], corpus_hash) for name in stage.upstream},
+        "upstream": {other.name: _upstream(cfg, other, corpus_hash) for other in needs_of(stage) if other.present(cfg)},
     }
 
 
 def _upstream(cfg: DictConfig, stage: Stage, corpus_hash: str) -> str:
-    if stage.name == "tokenizer" and cfg.get("tokenizer_run"):
-        return fingerprint(run_identity(Path(cfg.tokenizer_run)))
-    return fingerprint(stage_identity(cfg, stage, corpus_hash))
+    given = stage.given(cfg)
+    return fingerprint(stage_identity(cfg, stage, corpus_hash) if given is None else run_identity(given))
 
 
 def run_identity(run: Path) -> str:

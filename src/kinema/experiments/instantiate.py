@@ -1,4 +1,4 @@
-"""Make live objects of configs and run folders: model specs, text encoders, evaluators, whole pipelines."""
+"""Make live objects of configs and run folders: trained models, and text encoders behind their cache."""
 
 from __future__ import annotations
 
@@ -6,36 +6,18 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.store import PackedStore
-from kinema.experiments.config import plain
-from kinema.experiments.stages import Stage
 from kinema.runs.parts import load_part
 from kinema.text.cache import CachedTextEncoder
 from kinema.text.encoders import build_text_encoder
 from kinema.text.frozen import FrozenTextEncoder
-from kinema.text.tokens import TokenTable, clip_tokens
-from kinema.text.words import WordVectors, word_vectors
 
 
-def model_spec(cfg: DictConfig, stage: Stage) -> dict[str, Any]:
-    """Return the plain spec that kinema.runs.build makes the stage's model of."""
-    node = plain(stage.config(cfg))
-    spec = dict(node["model"])
-    if "sampling" in node:
-        spec["sampling"] = node["sampling"]
-    if stage.name == "matching":
-        spec["word_width"] = vocabulary(cfg, stage).width
-    if stage.name == "contrastive":
-        spec["token_width"] = vocabulary(cfg, stage).embedding.shape[1]
-    return spec
-
-
-def read_model(run: Path) -> tuple[nn.Module, dict[str, Any]]:
-    """Load a run's selected weights on the CPU, in eval mode and without gradients."""
-    model, meta = load_part(run)
-    return model.requires_grad_(False), meta
+def read_model(run: Path, part: str | None = None) -> Any:
+    """Load a run's weights on the CPU, without gradients; raises ValueError if they are another part's than `part`."""
+    model, _ = load_part(run, part=part)
+    return model.requires_grad_(False)
 
 
 def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:
@@ -54,17 +36,3 @@ def encode_captions(text: CachedTextEncoder, store: PackedStore, *splits: str) -
     entries = [int(e) for split in splits for e in store.split_entries(split)]
     text.ensure(sorted({caption.text for entry in entries for caption in store.entry_captions(entry)}))
     return text
-
-
-def vocabulary(cfg: DictConfig, stage: Stage) -> WordVectors | TokenTable:
-    """Return an evaluator's word vectors (T2M-style) or token table (CLIP-style); its models' width follows them."""
-    if stage.name == "contrastive":
-        return clip_tokens(cfg.evaluator.tokens, path=cfg.evaluator.tokens_path)
-    return word_vectors(cfg.evaluator.words, path=cfg.evaluator.words_path)
-
-
-def attach_text(cfg: DictConfig, stage: Stage, model: nn.Module) -> str:
-    """Attach an evaluator's vocabulary; give its identity, which results name."""
-    table = vocabulary(cfg, stage)
-    model.attach(table)
-    return table.identity

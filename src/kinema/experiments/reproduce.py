@@ -9,8 +9,17 @@ import argparse
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
+from omegaconf import DictConfig, OmegaConf
+
+from kinema.data.store import PackedStore
+from kinema.experiments.config import CONF
+from kinema.experiments.corpus import open_corpus
+from kinema.experiments.run import stage_folder
+from kinema.experiments.stages import get_stage, levels, needs_of
+from kinema.experiments.stages.base import Stage
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -61,14 +70,6 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
     """Return the multiruns that a table still needs, upstream first; none when everything is there."""
     ours = [row for row in rows if row.cfg is not None and not row.complete]
-    work: list[tuple[str, list[str]]] = []
-    for stages in (("matching", "contrastive"), ("tokenizer",), ("generator",)):
-        lacking = [row for row in ours if any(_lacks(row, s) for s in stages)]
-        methods = sorted({row.spec["method"] for row in lacking if "method" in row.spec})
-        if stages[0] == "matching" and lacking:
-            work.append(("train", [f"stage={','.join(stages)}"]))
-        elif methods:
-            work.append(("train", [f"stage={','.join(stages)}", f"method={','.join(methods)}"]))
     groups: dict[tuple, tuple[list[str], list[str]]] = {}
     for row in ours:
         source, method = row.spec["source"], row.spec.get("method")
@@ -79,17 +80,53 @@ def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
             sources.append(source)
         if method and method not in methods:
             methods.append(method)
-    for (_, *extra), (sources, methods) in groups.items():
-        choice = [f"method={','.join(methods)}"] if methods else []
-        work.append(("evaluate", [f"source={','.join(sources)}", *choice, *extra]))
+    scored = [("evaluate", _sweep("source", s, m, extra)) for (_, *extra), (s, m) in groups.items()]
+    return [*missing_stages(ours), *scored]
+
+
+def missing_stages(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
+    """Return the multiruns of the runs that rows lack: each run once, and after those that it reads."""
+    jobs: dict[Path, tuple[str, str | None, tuple[str, ...]]] = {}
+    for row in rows:
+        for name in row.place.runs:
+            for run, stage in _unmade(row.cfg, get_stage(name)).items():
+                jobs.setdefault(run, (stage, row.spec.get("method"), _trained_by(row)))
+    work = []
+    for level in levels():
+        methods: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+        for name, method, extra in jobs.values():
+            if get_stage(name) in level:
+                methods.setdefault((name, extra), []).extend([method] if method else [])
+        sweeps: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
+        for (name, extra), chosen in methods.items():
+            sweeps.setdefault((tuple(chosen), extra), []).append(name)
+        work += [("train", _sweep("stage", names, chosen, extra)) for (chosen, extra), names in sweeps.items()]
     return work
 
 
-def _lacks(row: TableRow, stage: str) -> bool:
-    run = row.place.runs.get(stage)
-    if stage == "tokenizer" and "generator" in row.place.runs:
-        return not RunFolder(row.place.runs["generator"]).done
-    return run is not None and not RunFolder(run).done
+def _unmade(cfg: DictConfig, stage: Stage) -> dict[Path, str]:
+    """Find a stage's run, and those behind it, that aren't finished."""
+    if not stage.present(cfg) or stage.given(cfg) is not None:
+        return {}
+    run = stage_folder(cfg, stage, PackedStore.open(open_corpus(cfg)).hash)
+    if run.done:
+        return {}
+    found = {run.path: stage.name}
+    for needed in needs_of(stage):
+        found |= _unmade(cfg, needed)
+    return found
+
+
+def _trained_by(row: TableRow) -> tuple[str, ...]:
+    """Return the row's own overrides that train.py knows."""
+    scoring = OmegaConf.load(CONF / "evaluate.yaml").keys()
+    return tuple(o for o in row.spec.get("overrides", []) if o.split("=")[0].split(".")[0] not in scoring)
+
+
+def _sweep(key: str, values: Iterable[str], methods: Iterable[str], extra: Iterable[str]) -> list[str]:
+    """Return the choices of one multirun: all the values for all the methods."""
+    choice = [f"method={','.join(methods)}"] if methods else []
+    return [f"{key}={','.join(values)}", *choice, *extra]
 
 
 def total_seconds(rows: list[TableRow]) -> float:

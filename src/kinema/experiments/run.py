@@ -1,20 +1,22 @@
-"""Run one stage: find it finished, resume it, or train it; upstream runs first."""
+"""Run one stage: find it finished, resume it, or make it; upstream runs first."""
 
 from __future__ import annotations
 
-import json
 import shlex
 import time
 import traceback
+from dataclasses import asdict
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.data.store import PackedStore
 from kinema.devices import global_rank
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import manifest, open_corpus, require_captions
+from kinema.experiments.corpus import open_corpus
 from kinema.experiments.identity import fingerprint, stage_identity
-from kinema.experiments.stages import STAGES, Stage, label
+from kinema.experiments.stages import companions_of, get_stage, needs_of
+from kinema.experiments.stages.base import Stage, given_run
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import link
@@ -25,14 +27,16 @@ WRITE_SECONDS = 600
 
 
 def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
-    """Name the run folder that a configuration's stage has."""
+    """Name the run folder that a configuration's stage has; raises ValueError if it has no such stage."""
+    if not stage.present(cfg):
+        raise ValueError(f"method {cfg.method.name} has no stage {stage.name}; choose a method= that has one")
     root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
-    name = f"{label(cfg, stage)}-{fingerprint(stage_identity(cfg, stage, corpus_hash))}"
+    name = f"{stage.label(cfg)}-s{cfg.seed}-{fingerprint(stage_identity(cfg, stage, corpus_hash))}"
     return RunFolder(root / stage.name / name)
 
 
 def command(cfg: DictConfig, stage: Stage) -> str:
-    """Return the command that trains a stage of this configuration: what was asked for, with another stage."""
+    """Return the command that makes a stage of this configuration: what was asked for, with another stage."""
     from hydra.core.hydra_config import HydraConfig
 
     given = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
@@ -42,96 +46,53 @@ def command(cfg: DictConfig, stage: Stage) -> str:
 
 
 def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
-    """Return the finished run of a stage, training what is missing.
+    """Return the finished run of a stage, making what is missing.
 
     Raises FileNotFoundError naming the command where an upstream run is missing and `ensure` is false.
     """
     validate(cfg)
-    stage = STAGES[name]
-    if not stage.present(cfg):
-        raise ValueError(f"method {cfg.method.name} has no stage {name}; choose a method with one, e.g. method=momask")
-    store = open_corpus(cfg)
-    folder = stage_folder(cfg, stage, manifest(store)["hash"])
+    stage = get_stage(name)
+    store = PackedStore.open(open_corpus(cfg))
+    folder = stage_folder(cfg, stage, store.hash)
     if folder.done:
         if not quiet:
             console.print(f"cached    {folder.path}")
         return folder
-    if stage.config(cfg).train.data == "clips":
-        require_captions(store, "train", "val")
-    upstream = {}
-    for one in (stage, *(STAGES[other] for other in stage.companions)):
-        check_parts(cfg, one)
-    for needed in (*stage.upstream, *stage.companions):
-        if not STAGES[needed].present(cfg):
-            continue
-        if needed == "tokenizer" and cfg.tokenizer_run:
-            upstream[needed] = given_tokenizer(cfg)
-            continue
-        found = stage_folder(cfg, STAGES[needed], manifest(store)["hash"])
-        if not found.done and not cfg.ensure:
-            raise FileNotFoundError(
-                f"stage {name} needs the {needed} run {found.path}, which isn't finished; train it with "
-                f"`{command(cfg, STAGES[needed])}` or set ensure=true"
-            )
-        upstream[needed] = run_stage(cfg, needed, quiet=True)
+    companions = [other for other in companions_of(stage) if other.present(cfg)]
+    for one in (stage, *companions):
+        one.check(cfg, store)
+    needs = {other.name: _made(cfg, other, store, stage) for other in needs_of(stage) if other.present(cfg)}
+    beside = {other.name: _made(cfg, other, store, stage) for other in companions}
     if global_rank() > 0:
-        return _follow(cfg, stage, store, folder, upstream)
+        return _follow(cfg, stage, store, folder, needs)
     with folder.lock():
         if folder.done:
             console.print(f"cached    {folder.path}")
             return folder
-        _train(cfg, stage, store, folder, upstream)
+        _make(cfg, stage, store, folder, needs, beside)
     return folder
 
 
-def given_tokenizer(cfg: DictConfig) -> RunFolder:
-    """Return the run that `tokenizer_run=` names (trained elsewhere, or imported)."""
-    run = RunFolder(Path(cfg.tokenizer_run).resolve())
-    if not run.weights.exists():
+def _made(cfg: DictConfig, needed: Stage, store: PackedStore, user: Stage) -> RunFolder:
+    """Return the run that a stage needs; make it, unless `ensure` forbids it."""
+    given = given_run(cfg, needed)
+    if given is not None:
+        return given
+    found = stage_folder(cfg, needed, store.hash)
+    if not found.done and not cfg.ensure:
         raise FileNotFoundError(
-            f"tokenizer_run={cfg.tokenizer_run} holds no {run.weights.name}; give the folder of a finished or imported "
-            "tokenizer"
+            f"stage {user.name} needs the {needed.name} run {found.path}, which isn't finished; train it with "
+            f"`{command(cfg, needed)}` or set ensure=true"
         )
-    return run
+    return run_stage(cfg, needed.name, quiet=True)
 
 
-def check_parts(cfg: DictConfig, stage: Stage) -> None:
-    """Check that a stage's model fits the tokenizer it will read, before either is trained."""
-    if "tokenizer" not in stage.upstream or not stage.present(cfg):
-        return
-    import torch
-    from torch import nn
-
-    from kinema.experiments.instantiate import model_spec, read_model
-    from kinema.pipeline.compatibility import check_pair
-    from kinema.runs.build import build
-
-    def build_meta(cfg: DictConfig, name: str) -> nn.Module:
-        with torch.device("meta"):
-            return build(model_spec(cfg, STAGES[name]))
-
-    model = build_meta(cfg, stage.name)
-    if not cfg.tokenizer_run:
-        tokenizer = build_meta(cfg, "tokenizer")
-    else:
-        tokenizer, _ = read_model(given_tokenizer(cfg).path)
-        own = tokenizer.representation
-        if own.kind != cfg.representation.kind or own.skeleton_name != cfg.data.skeleton:
-            raise ValueError(
-                f"tokenizer_run={cfg.tokenizer_run} was trained on {own.kind} dims of {own.skeleton_name}, this "
-                f"configuration asks for representation={cfg.representation.kind} of {cfg.data.skeleton}; choose one"
-            )
-    check_pair(tokenizer, model)
-    if stage.name == "residual":
-        build_meta(cfg, "generator").attach(stage.name, model)
-
-
-def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> RunFolder:
+def _follow(
+    cfg: DictConfig, stage: Stage, store: PackedStore, folder: RunFolder, needs: dict[str, RunFolder]
+) -> RunFolder:
     """Train along on another rank: rank 0 holds the lock and writes everything."""
-    from kinema.experiments.training import train_stage
-
     if not folder.done:
-        train_stage(cfg, stage, store, folder, upstream)
+        stage.make(cfg, store, needs, folder)
     for _ in range(WRITE_SECONDS * 10):
         if folder.done:
             return folder
@@ -139,24 +100,29 @@ def _follow(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstr
     raise TimeoutError(f"rank 0 has not written {folder.weights} within {WRITE_SECONDS} s; see its own output")
 
 
-def _train(cfg: DictConfig, stage: Stage, store: Path, folder: RunFolder, upstream: dict[str, RunFolder]) -> None:
-    from kinema.experiments.training import train_stage
-
+def _make(
+    cfg: DictConfig,
+    stage: Stage,
+    store: PackedStore,
+    folder: RunFolder,
+    needs: dict[str, RunFolder],
+    beside: dict[str, RunFolder],
+) -> None:
     resumed = (folder.path / "checkpoints" / "last.ckpt").exists()
     console.print(f"{'resume' if resumed else 'train ':<9} {folder.path}")
-    left_out = len(json.loads((store / "dropped.json").read_text()))
-    if left_out:
-        console.print(f"[yellow]note[/]      {left_out} clips were left out of the corpus: {store / 'dropped.json'}")
+    if store.dropped:
+        left_out = f"{len(store.dropped)} clips were left out of the corpus: {store.path / 'dropped.json'}"
+        console.print(f"[yellow]note[/]      {left_out}")
     resolved = plain(cfg)
     resolved.pop("hydra", None)
     OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")
-    link(folder.path, {name: run.path for name, run in upstream.items()})
+    link(folder.path, {name: run.path for name, run in (needs | beside).items()})
     folder.mark("running", versions=versions())
     try:
-        result = train_stage(cfg, stage, store, folder, upstream)
+        result = stage.make(cfg, store, needs, folder)
     except BaseException as error:
         folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
         raise
-    folder.mark("done", **result)
+    folder.mark("done", **asdict(result))
     (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
-    console.print(f"done      {folder.path} in {result['seconds']:.0f} s")
+    console.print(f"done      {folder.path} in {result.seconds:.0f} s")

@@ -17,12 +17,15 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.cache import motion_key
+from kinema.evaluation.encoders.base import TextMotionEvaluator, Vocabulary
 from kinema.evaluation.metrics.fid import half_against_half
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
-from kinema.experiments.instantiate import attach_text, cached, encode_captions, read_model, text_encoder
-from kinema.experiments.stages import STAGES
+from kinema.experiments.evaluation import Row
+from kinema.experiments.instantiate import cached, encode_captions, read_model, text_encoder
+from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
+from kinema.motion.skeleton import DIMS
 from kinema.runs.build import build
 from kinema.seeds import halves_seed
 from kinema.text.cache import CachedTextEncoder
@@ -40,31 +43,32 @@ MOST_VALUES = 12
 class Scorer:
     """Hold everything that the replications of one row share."""
 
-    def __init__(self, cfg: DictConfig, runs: dict[str, Path], store_path: Path) -> None:
+    def __init__(self, cfg: DictConfig, row: Row, store_path: Path) -> None:
         self.cfg = cfg
         Machine(**plain(cfg.trainer)).limit_threads()
         self.device = find_device(cfg.trainer.accelerator)
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
-        self.data = MotionDataModule(store_path, kind="clips", batch_size=self.protocol.pool, steps=1, seed=cfg.seed)
-        judges = {name: read_model(runs[name])[0].to(self.device) for name in ("matching", "contrastive")}
-        words = {name: attach_text(cfg, STAGES[name], model) for name, model in judges.items()}
-        self.matching, self.contrastive = judges["matching"], judges["contrastive"]
+        words = {key: stage.vocabulary(cfg) for key, stage in judges().items()}
+        models = {key: self._judge(row.judges[stage.name], words[key]) for key, stage in judges().items()}
+        self.matching, self.contrastive = models["t2m"], models["clip"]
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
-        self.source = self._source(runs)
+        self.source = self._source(row)
+        judged = (model.representation.kind for model in models.values())
+        self.data = self._clips(self.source.dims, *judged)
         self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
         sampling = plain(cfg.generator.sampling) if cfg.source == "generation" else None
         self.provenance = {
             "source": cfg.source,
-            "runs": {k: v.name for k, v in sorted(runs.items())},
-            "evaluators": {name: model.identity() for name, model in judges.items()},
+            "runs": {k: v.name for k, v in sorted(row.runs.items())},
+            "evaluators": {stage.name: models[key].identity() for key, stage in judges().items()},
             "corpus": {"name": self.store.name, "hash": self.store.hash},
             "statistics": {
                 "corpus": self.store.statistics.digest(),
                 "evaluator": self.matching.representation.identity(),
             },
-            "words": words["matching"],
-            "tokens": words["contrastive"],
+            "words": words["t2m"].identity,
+            "tokens": words["clip"].identity,
             "text_encoder": self.source.text_encoder.identity if self.source.text_encoder else None,
             "sampling": sampling,
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
@@ -90,6 +94,11 @@ class Scorer:
             result.metrics["half_fid"] = self._half_fid(replication)
         result.metrics.update(self.source.measured())
         return result
+
+    def _clips(self, *dims: str) -> MotionDataModule:
+        """Serve the columns that all of several readers read."""
+        widest = max(dims, key=DIMS.index)
+        return MotionDataModule(self.store.path, kind="clips", batch_size=self.protocol.pool, steps=1, dims=widest)
 
     def _batches(self, replication: int) -> Iterator[MotionBatch]:
         protocol = self.protocol
@@ -118,7 +127,10 @@ class Scorer:
         with replacing(path) as temporary:
             np.savez(temporary, **arrays)
 
-    def _source(self, runs: dict[str, Path]) -> sources.Source:
+    def _judge(self, run: Path, vocabulary: Vocabulary) -> TextMotionEvaluator:
+        return read_model(run).to(self.device).attach(vocabulary)
+
+    def _source(self, row: Row) -> sources.Source:
         name, cfg = self.cfg.source, self.cfg
         if name == "real":
             return sources.RealMotion()
@@ -131,8 +143,8 @@ class Scorer:
             from kinema.pipeline import TextToMotion
 
             # The parts that the row is named by, whatever the generator's run links to.
-            parts = {name: runs.get(name) for name in ("residual", "length")}
-            model = TextToMotion.from_run(runs["generator"], device=self.device, **parts)
+            (run,) = row.subject.values()
+            model = TextToMotion.from_run(run, device=self.device, **row.beside)
             sampling = build(plain(cfg.generator.sampling))
             model.generator.check_sampling(sampling)
             # The run's own text encoder, which need not be the configuration's (an imported run).
@@ -140,7 +152,8 @@ class Scorer:
             if cfg.task == "editing":
                 return sources.Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
             return sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
-        tokenizer = read_model(runs["tokenizer"])[0].to(self.device)
+        (run,) = row.subject.values()
+        tokenizer = read_model(run).to(self.device)
         if name == "reconstruction":
             return sources.Reconstruction(tokenizer)
         if tokenizer.space.kind == "codes":
@@ -154,7 +167,8 @@ class Scorer:
     @torch.no_grad()
     def _training_latents(self, tokenizer: Any, batches: int = 16) -> torch.Tensor:
         """Return the values or codes of a part of the training clips, one row per position."""
-        drawn = self.data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
+        data = self._clips(tokenizer.representation.kind)
+        drawn = data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
         rows = []
         for _, batch in zip(range(batches), drawn, strict=False):
             latents = tokenizer.encode(batch.to(self.device))

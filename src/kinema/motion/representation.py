@@ -7,11 +7,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.motion.skeleton import DIMS, Skeleton, get_skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import frame_mask
 
-KINDS = ("essential", "redundant")
 VARIANTS = ("raw", "published")
 
 
@@ -27,8 +26,8 @@ class Representation(nn.Module):
 
     def __init__(self, kind: str, skeleton: str, variant: str = "raw") -> None:
         super().__init__()
-        if kind not in KINDS:
-            raise ValueError(f"unknown representation {kind!r}; choose one of {', '.join(KINDS)}")
+        if kind not in DIMS:
+            raise ValueError(f"unknown representation {kind!r}; choose one of {', '.join(DIMS)}")
         if variant not in VARIANTS:
             raise ValueError(f"unknown variant {variant!r}; choose one of {', '.join(VARIANTS)}")
         self.kind, self.variant, self.skeleton_name = kind, variant, skeleton
@@ -44,7 +43,7 @@ class Representation(nn.Module):
     @property
     def width(self) -> int:
         """Count the selected columns."""
-        return self.skeleton.essential_width if self.kind == "essential" else self.skeleton.feature_width
+        return self.skeleton.width_of(self.kind)
 
     @property
     def groups(self) -> dict[str, slice]:

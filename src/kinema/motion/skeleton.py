@@ -11,6 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
+DIMS = ("essential", "redundant")
+"""Which columns of a feature row: those that joints are recovered from, which come first, or all."""
+
 
 @dataclass(frozen=True, eq=False)
 class Skeleton:
@@ -54,6 +57,12 @@ class Skeleton:
     def essential_width(self) -> int:
         """The width of the essential part, root and joint positions: 3 J + 1 (MARDM §1)."""
         return self.groups["joints"].stop
+
+    def width_of(self, dims: str) -> int:
+        """Count the columns of `dims`; raises ValueError for what isn't one of `DIMS`."""
+        if dims not in DIMS:
+            raise ValueError(f"unknown dims {dims!r}; choose one of {', '.join(DIMS)}")
+        return self.essential_width if dims == "essential" else self.feature_width
 
     @cached_property
     def groups(self) -> dict[str, slice]:

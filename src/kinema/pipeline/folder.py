@@ -44,7 +44,7 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
         if key not in names:
             raise ValueError(f"{folder / file} names no {key}; train or import this run again")
     allowed = (*generator.parts, LENGTH)
-    for name in given.keys() - set(allowed):
+    for name in sorted(name for name, run in given.items() if run is not None and name not in allowed):
         takes = ", ".join(f"{part}=" for part in allowed)
         raise ValueError(f"{type(generator).__name__} takes no part {name!r}; it takes {takes}")
     runs = links | given

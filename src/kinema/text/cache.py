@@ -77,6 +77,8 @@ class CachedTextEncoder:
             raise ValueError(f"{self.identity} gave features that are not finite; check its weights file")
         tokens = [np.zeros((0, self.token_dim), np.float32)] * len(texts)
         if self.token_dtype is not None:
+            if found.tokens is None or found.token_mask is None:
+                raise ValueError(f"{self.identity} gives no token features; cache its pooled vectors with tokens=None")
             values, lengths = found.tokens.detach().float().cpu().numpy(), found.token_mask.sum(1).tolist()
             tokens = [row[:length] for row, length in zip(values, lengths, strict=True)]
         self.features.append(texts, pooled, tokens)

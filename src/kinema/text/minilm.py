@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kinema.text.files import INSTALL, minilm_folder, quiet_loading, require, short_hash, weights_file
+from kinema.text.files import INSTALL, find_weights, minilm_folder, quiet_loading, require, short_hash
 from kinema.text.frozen import check_texts, encode_in_chunks, standardise
 from kinema.types import TextFeatures
 
@@ -26,7 +26,7 @@ class MiniLMTextEncoder:
 
     def __init__(self, path: str | Path | None = None, device: torch.device | str = "cpu") -> None:
         self.folder = minilm_folder() if path is None else Path(path)
-        weights = weights_file(self.folder)
+        weights = find_weights(self.folder)
         if weights is None or not (self.folder / "tokenizer.json").is_file():
             raise FileNotFoundError(
                 f"no MiniLM model (config.json, model.safetensors, tokenizer.json) in {self.folder}; remove "

@@ -9,6 +9,7 @@ import functools
 import re
 import warnings
 from collections.abc import Callable
+from typing import Any
 
 from kinema.types import Caption
 
@@ -75,7 +76,7 @@ def tag_words(text: str) -> tuple[str, ...]:
 
 
 @functools.lru_cache(maxsize=1)
-def _tagger() -> Callable | None:
+def _tagger() -> Callable[[str], Any] | None:
     """Load spaCy's small English model, or say once that there is none."""
     try:
         import spacy

@@ -53,9 +53,10 @@ class WordVectors:
         self._table = np.zeros((256, width), np.float32)
         self._size = 0
         self._remembered: dict[Caption, tuple[np.ndarray, np.ndarray, int]] = {}
-        self._unknown = self._row("unk")
-        if None in (self._unknown, self._row("sos"), self._row("eos")):
+        unknown = self._row("unk")
+        if unknown is None or self._row("sos") is None or self._row("eos") is None:
             raise ValueError(f"the word vectors {identity} lack one of 'sos', 'eos', 'unk'; use the published files")
+        self._unknown = unknown
 
     def __call__(
         self, captions: list[Caption], device: torch.device | str = "cpu"

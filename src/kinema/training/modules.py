@@ -52,7 +52,7 @@ class StageModule(LightningModule):
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
         """Return the named losses of one batch."""
-        raise TypeError(f"{type(self).__name__} is abstract: use TokenizerModule, GeneratorModule or EvaluatorModule")
+        raise TypeError(f"{type(self).__name__} is abstract: use MotionModule or GeneratorModule")
 
     def model_loss(self, *args: Any, **kwargs: Any) -> Losses:
         """Call the model's loss, compiled if asked for."""
@@ -83,7 +83,7 @@ class StageModule(LightningModule):
     def configure_optimizers(self) -> dict[str, Any]:
         """Make the recipe's optimiser and its schedule by steps."""
         optimizer = self.recipe.optimizer(self.model.parameters())
-        # A function: of a bound method a checkpoint would hold the attributes.
+        # A plain function: of a bound method the schedule would write the attributes into every checkpoint.
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: self.recipe.factor(step))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
@@ -96,19 +96,11 @@ class StageModule(LightningModule):
             torch.nn.utils.clip_grad_norm_(part.parameters(), self.recipe.clip)
 
 
-class TokenizerModule(StageModule):
-    """Train a tokenizer, or any model whose loss reads motion alone."""
+class MotionModule(StageModule):
+    """Train what reads batches of motion as they are: a tokenizer, or an evaluator of motion and its captions."""
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
-        """Reconstruct the windows."""
-        return self.model_loss(batch, generator=generator, shard=shard)
-
-
-class EvaluatorModule(StageModule):
-    """Train an evaluator on captioned motion."""
-
-    def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
-        """Contrast motion with its captions."""
+        """Hand the batch to the model."""
         return self.model_loss(batch, generator=generator, shard=shard)
 
 

@@ -44,7 +44,7 @@ def test_the_codes_of_a_split_are_counted(micro, runs, tmp_path):
     assert [line.split("/")[-1] for line in said.get().splitlines()][:2] == ["code_usage.json", "code_usage.md"]
     found = json.loads((tmp_path / "code_usage.json").read_text())["runs"]
     assert [r["dims"] for r in found] == ["redundant", "essential"]
-    tokenizer = read_model(runs["essential"])[0]
+    tokenizer = read_model(runs["essential"])
     store = PackedStore.open(open_corpus(compose([*micro, "method=t2m_gpt"])))
     counts = torch.zeros(tokenizer.space.codebook_size, dtype=torch.long)
     for clip in store.split_clips("val"):

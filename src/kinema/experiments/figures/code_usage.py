@@ -173,7 +173,7 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
         raise FileNotFoundError(
             f"{run} is no finished run of a tokenizer (its state is {state!r}); give folders of runs/tokenizer"
         )
-    tokenizer, _ = read_model(run)
+    tokenizer = read_model(run)
     if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
     return tokenizer, OmegaConf.load(run / "config.yaml")

@@ -1,0 +1,68 @@
+"""Hold the stages, one file each, and find them: a module put into this package is a stage without another edit."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+from graphlib import TopologicalSorter
+
+from kinema.experiments.stages.base import Stage
+from kinema.experiments.stages.judge import JudgeStage
+
+
+def stages() -> dict[str, Stage]:
+    """Return all stages by name, each after those that it reads or has beside it."""
+    return {stage.name: stage for level in levels() for stage in level}
+
+
+def levels() -> list[list[Stage]]:
+    """Group the stages by what they wait for: those of a level can be made at once, after the levels before it."""
+    return _find(tuple(__path__))
+
+
+def get_stage(name: str) -> Stage:
+    """Find a stage; raises ValueError naming those there are."""
+    if name not in stages():
+        raise ValueError(f"stage={name!r} is unknown; allowed: {', '.join(stages())}")
+    return stages()[name]
+
+
+def judges() -> dict[str, JudgeStage]:
+    """Return the stages whose runs judge every row, by what `evaluators` in the configuration calls them."""
+    return {stage.given_as: stage for stage in stages().values() if isinstance(stage, JudgeStage)}
+
+
+def needs_of(stage: Stage) -> list[Stage]:
+    """Return the stages whose runs change a stage's own."""
+    return [other for other in stages().values() if other.name in stage.needs or stage.name in other.needed_by]
+
+
+def companions_of(stage: Stage) -> list[Stage]:
+    """Return the stages whose runs a user of a stage's run wants beside it."""
+    return [other for other in stages().values() if stage.name in other.companion_of]
+
+
+@cache
+def _find(folders: tuple[str, ...]) -> list[list[Stage]]:
+    found: dict[str, Stage] = {}
+    for entry in pkgutil.iter_modules(folders, f"{__name__}."):
+        for kind in vars(importlib.import_module(entry.name)).values():
+            if isinstance(kind, type) and issubclass(kind, Stage) and "name" in vars(kind):
+                other = found.setdefault(kind.name, kind())
+                if type(other) is not kind:
+                    raise ValueError(f"{kind} and {type(other)} are both stage {kind.name!r}; rename one of them")
+    order = TopologicalSorter({stage.name: stage.needs for stage in found.values()})
+    for stage in found.values():
+        for other in (*stage.needed_by, *stage.companion_of):
+            order.add(other, stage.name)
+    order.prepare()
+    grouped = []
+    while order.is_active():
+        ready = order.get_ready()
+        unknown = [name for name in ready if name not in found]
+        if unknown:
+            raise ValueError(f"a stage names {unknown[0]!r}, which is none; stages: {', '.join(found)}")
+        grouped.append([found[name] for name in sorted(ready)])
+        order.done(*ready)
+    return grouped

@@ -1,0 +1,95 @@
+"""Say what a stage is: one step of making a method or its judges, a run of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from omegaconf import DictConfig, OmegaConf
+
+from kinema.data.store import PackedStore
+from kinema.experiments.config import plain
+from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Hold what status.json keeps of how a run was made."""
+
+    seconds: float
+    step: int | None = None
+    val_loss: float | None = None
+    parameters: int = 0
+    device: str | None = None
+
+
+class Stage:
+    """Make one part of a method or of its judges; subclasses fit a model (`FittedStage`) or build what needs no fit.
+
+    `name` is the folder of its runs and what other runs' upstream.json call it; `node` its place in the configuration;
+    `needs` the stages whose runs change its own, `reads` the further keys of the configuration that do; `needed_by`
+    are stages that need this one without naming it, `companion_of` those whose users want its run beside theirs.
+    """
+
+    name: ClassVar[str]
+    node: ClassVar[str]
+    needs: ClassVar[tuple[str, ...]] = ()
+    needed_by: ClassVar[tuple[str, ...]] = ()
+    companion_of: ClassVar[tuple[str, ...]] = ()
+    reads: ClassVar[tuple[str, ...]] = ()
+
+    def config(self, cfg: DictConfig) -> DictConfig | None:
+        """Return the stage's own part of the configuration."""
+        return OmegaConf.select(cfg, self.node)
+
+    def present(self, cfg: DictConfig) -> bool:
+        """Say whether the configuration has this stage; identities and plans leave an absent one out."""
+        return self.config(cfg) is not None
+
+    def label(self, cfg: DictConfig) -> str:
+        """Say in the run's name what it holds."""
+        return self.name
+
+    def settings(self, cfg: DictConfig) -> dict[str, Any]:
+        """Return what of the stage's own part changes the result."""
+        return plain(self.config(cfg))
+
+    def given(self, cfg: DictConfig) -> Path | None:
+        """Return the run that the configuration names in place of its own: a part of the run that `run=` names."""
+        run = asked_for(cfg)
+        return None if run is None else upstream(run).get(self.name)
+
+    def scored(self, cfg: DictConfig) -> bool:
+        """Say whether an evaluation scores the motion that this stage's run makes."""
+        return False
+
+    def beside(self, cfg: DictConfig) -> bool:
+        """Say whether an evaluation reads this run beside that of which it is a companion."""
+        return self.given(cfg) is not None if cfg.get("run") else self.present(cfg)
+
+    def check(self, cfg: DictConfig, store: PackedStore) -> None:
+        """Raise ValueError if the configuration or the corpus doesn't fit, before anything is made."""
+
+    def make(self, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder) -> Summary:
+        """Write the run's weights, from the finished runs that it needs."""
+        raise TypeError(f"{type(self).__name__} says nothing of how it is made; write its method make")
+
+
+def asked_for(cfg: DictConfig) -> Path | None:
+    """Return the folder that `run=` of an evaluation names: a path, or `latest:METHOD`."""
+    return find_run(cfg.run, cfg.paths.runs) if cfg.get("run") else None
+
+
+def given_run(cfg: DictConfig, stage: Stage) -> RunFolder | None:
+    """Find the run that stands in for a stage's own; raises FileNotFoundError if that has no weights."""
+    path = stage.given(cfg)
+    if path is None:
+        return None
+    run = RunFolder(path.resolve())
+    if not run.weights.exists():
+        raise FileNotFoundError(
+            f"{path} holds no {run.weights.name}; give the folder of a finished or imported {stage.name} run"
+        )
+    return run

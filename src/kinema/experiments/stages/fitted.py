@@ -1,0 +1,90 @@
+"""Fit a model with Lightning: what the stages that train have in common."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from omegaconf import DictConfig
+from torch import nn
+
+from kinema.data.store import PackedStore
+from kinema.experiments.config import plain
+from kinema.experiments.corpus import require_captions
+from kinema.experiments.stages.base import Stage, Summary
+from kinema.runs.build import build
+from kinema.runs.folder import RunFolder
+
+if TYPE_CHECKING:  # and below where it is used: a finished run must not pay for Lightning
+    from kinema.training.callbacks import Samples
+    from kinema.training.modules import StageModule
+    from kinema.training.recipe import Recipe
+
+PACE = ("validate_every", "checkpoint_every", "val_batches")
+"""Keys of a recipe that can't change the weights where the last ones are kept."""
+
+
+class FittedStage(Stage):
+    """Fit the `model` of the stage's node by the recipe in its `train`; a model without a recipe is only built."""
+
+    def present(self, cfg: DictConfig) -> bool:
+        """Say whether the configuration has a model for this stage."""
+        return super().present(cfg) and self.config(cfg).model is not None
+
+    def settings(self, cfg: DictConfig) -> dict[str, Any]:
+        """Return the model, and of its recipe what can change the weights that are kept."""
+        own = plain(self.config(cfg))
+        train = dict(own["train"] or {})
+        left_out = PACE if train.get("select", "last") == "last" else ("checkpoint_every",)
+        return {
+            "model": own["model"],
+            "train": {k: v for k, v in train.items() if k not in left_out},
+            "precision": cfg.trainer.precision,
+            "debug": cfg.debug.steps,
+        }
+
+    def dims(self, cfg: DictConfig) -> str:
+        """Name the columns of motion that the stage reads: essential or redundant."""
+        return cfg.representation.kind
+
+    def spec(self, cfg: DictConfig) -> dict[str, Any]:
+        """Return the plain spec that kinema.runs.build makes the model of."""
+        return plain(self.config(cfg).model)
+
+    def sketch(self, cfg: DictConfig) -> nn.Module:
+        """Build the model without memory, to compare it with others before any of them is made."""
+        with torch.device("meta"):
+            return build(self.spec(cfg))
+
+    def check(self, cfg: DictConfig, store: PackedStore) -> None:
+        """Check that there are captions for a recipe that reads them."""
+        train = self.config(cfg).train
+        if train is not None and train.data == "clips":
+            require_captions(store, "train", "val")
+
+    def module(
+        self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+    ) -> StageModule:
+        """Wire the model to what its loss reads; by default motion alone."""
+        from kinema.training.modules import MotionModule
+
+        return MotionModule(model, recipe, cfg.seed)
+
+    def callbacks(
+        self, cfg: DictConfig, module: StageModule, store: PackedStore, needs: dict[str, RunFolder], samples: Path
+    ) -> list[Samples]:
+        """Return what else happens while it trains."""
+        return []
+
+    def metadata(
+        self, cfg: DictConfig, module: StageModule, needs: dict[str, RunFolder], folder: RunFolder
+    ) -> dict[str, Any]:
+        """Return what the weights say of themselves, and write what lies beside them."""
+        return {}
+
+    def make(self, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder) -> Summary:
+        """Fit the model, resuming where a checkpoint is, and write its weights."""
+        from kinema.experiments import training
+
+        return training.make_model(self, cfg, store, needs, folder)

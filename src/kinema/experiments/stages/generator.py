@@ -1,0 +1,67 @@
+"""Fit a method's generator: text to latents."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from kinema.data.store import PackedStore
+from kinema.experiments.config import plain
+from kinema.experiments.instantiate import read_model
+from kinema.experiments.stages.base import asked_for
+from kinema.experiments.stages.conditioned import ConditionedStage
+from kinema.generators import Generator
+from kinema.runs.folder import RunFolder
+
+if TYPE_CHECKING:
+    from kinema.training.callbacks import Samples
+    from kinema.training.modules import GeneratorModule, StageModule
+    from kinema.training.recipe import Recipe
+
+
+class GeneratorStage(ConditionedStage):
+    """Fit the generator on its tokenizer's latents."""
+
+    name = "generator"
+    node = "generator"
+    needs = ("tokenizer",)
+
+    def label(self, cfg: DictConfig) -> str:
+        """Name the method and its dims; methods of a family share their runs."""
+        return f"{cfg.method.get('family', cfg.method.name)}-{cfg.representation.kind}"
+
+    def spec(self, cfg: DictConfig) -> dict[str, Any]:
+        """Return the model's spec; it holds the sampling that its users get by default."""
+        return {**super().spec(cfg), "sampling": plain(self.config(cfg).sampling)}
+
+    def given(self, cfg: DictConfig) -> Path | None:
+        """Return the run that `run=` names."""
+        return asked_for(cfg)
+
+    def scored(self, cfg: DictConfig) -> bool:
+        """Generated motion is what tables are about."""
+        return cfg.source == "generation"
+
+    def module(
+        self, cfg: DictConfig, model: Generator, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+    ) -> GeneratorModule:
+        """Attach what it has beside it in training already."""
+        for name in model.parts:
+            if name in needs:
+                model.attach(name, read_model(needs[name].path, name))
+        return super().module(cfg, model, recipe, store, needs)
+
+    def callbacks(
+        self, cfg: DictConfig, module: StageModule, store: PackedStore, needs: dict[str, RunFolder], samples: Path
+    ) -> list[Samples]:
+        """Draw sample motions every few steps, if asked for."""
+        if not cfg.callbacks.samples_every:
+            return []
+        from kinema.experiments.previews import sample_drawer
+        from kinema.training.callbacks import Samples
+
+        name = self.tokenizer(cfg).name
+        draw = sample_drawer(cfg, store, read_model(needs[name].path, name), module.text.value)
+        return [Samples(samples, cfg.callbacks.samples_every, draw)]

@@ -1,0 +1,49 @@
+"""Fit (or take from elsewhere) what turns motion into latents and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+from torch import nn
+
+from kinema.experiments.instantiate import read_model
+from kinema.experiments.stages.base import asked_for, given_run
+from kinema.experiments.stages.fitted import FittedStage
+from kinema.runs.latest import find_run
+
+
+class TokenizerStage(FittedStage):
+    """Fit a tokenizer; one that needs no training has a model and no recipe."""
+
+    name = "tokenizer"
+    node = "tokenizer"
+
+    def label(self, cfg: DictConfig) -> str:
+        """Name the tokenizer and its dims."""
+        return f"{cfg.tokenizer.name}-{cfg.representation.kind}"
+
+    def given(self, cfg: DictConfig) -> Path | None:
+        """Return the run that `tokenizer_run=` names, or the one of the run that `run=` names (it may be that one)."""
+        run = asked_for(cfg)
+        if run is not None:
+            return super().given(cfg) or run
+        return find_run(cfg.tokenizer_run, cfg.paths.runs) if cfg.tokenizer_run else None
+
+    def scored(self, cfg: DictConfig) -> bool:
+        """Decoded motion is scored by itself."""
+        return cfg.source in ("noise", "reconstruction")
+
+    def sketch(self, cfg: DictConfig) -> nn.Module:
+        """Build it without memory, or read the given one and hold it to the configuration's representation."""
+        run = given_run(cfg, self)
+        if run is None:
+            return super().sketch(cfg)
+        tokenizer = read_model(run.path, self.name)
+        own = tokenizer.representation
+        if own.kind != cfg.representation.kind or own.skeleton_name != cfg.data.skeleton:
+            raise ValueError(
+                f"tokenizer_run={cfg.tokenizer_run} was trained on {own.kind} dims of {own.skeleton_name}, this "
+                f"configuration asks for representation={cfg.representation.kind} of {cfg.data.skeleton}; choose one"
+            )
+        return tokenizer
