@@ -1,4 +1,4 @@
-"""Reproduce a table: run what its rows lack as Hydra multiruns, then render it.
+"""Reproduce a table: run what its rows lack, on this machine or as Hydra multiruns of a launcher, then render it.
 
 `kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`
 """
@@ -12,15 +12,15 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
-from kinema.experiments.config import CONF
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.jobs import missing_jobs, processes, run_jobs
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import get_stage, levels, needs_of
 from kinema.experiments.stages.base import Stage
-from kinema.experiments.tables import TableRow, load_table, plan, render_table
+from kinema.experiments.tables import TableRow, load_table, plan, render_table, trained_by
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
@@ -32,31 +32,29 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("table", help="a file of conf/table, for instance table5")
     parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")
     parser.add_argument("--render-only", action="store_true", help="render what there is; run nothing")
+    parser.add_argument(
+        "--jobs", type=int, help="processes side by side on this machine (default: one a core of a CPU)"
+    )
     parser.add_argument("--out", type=Path, help="folder of the report (default: reports/TABLE)")
     options = parser.parse_intermixed_args(arguments)
     try:
-        reproduce(options.table, options.overrides, render_only=options.render_only, out=options.out)
+        reproduce(options.table, options.overrides, render_only=options.render_only, jobs=options.jobs, out=options.out)
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"error: {error}")
 
 
-def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out: Path | None = None) -> None:
+def reproduce(
+    name: str, overrides: list[str], *, render_only: bool = False, jobs: int | None = None, out: Path | None = None
+) -> None:
     """Run the missing stages and replications of a table and render it."""
     table = load_table(name)
     shared = [o for o in overrides if not o.startswith("launcher=")]
-    overrides = [*overrides, *table.get("overrides", [])]
     rows = plan(table, shared)
-    work = [] if render_only else missing_work(rows)
-    if work:
-        for job, choices in work:
-            words = [job, "-m", *overrides, *choices]
-            console.print(f"[bold]run[/]       kinema {' '.join(words)}")
-            # -P: a file of the user's in this directory must not be taken for a module of the same name.
-            if subprocess.run([sys.executable, "-P", "-m", "kinema.cli", *words]).returncode:
-                raise OSError(
-                    f"`kinema {' '.join(words)}` failed (see above); what is finished is "
-                    "kept: run the same command again after mending the cause"
-                )
+    if not render_only and any(row.cfg is not None and not row.complete for row in rows):
+        if set(overrides) - set(shared) <= {"launcher=none"}:
+            run_here(rows, [*shared, *table.get("overrides", [])], jobs)
+        else:
+            run_multiruns(rows, [*overrides, *table.get("overrides", [])])
         rows = plan(table, shared)
     out = out or Path("reports") / name
     for path in render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared])):
@@ -65,6 +63,25 @@ def reproduce(name: str, overrides: list[str], *, render_only: bool = False, out
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
+
+
+def run_here(rows: list[TableRow], overrides: list[str], count: int | None) -> None:
+    """Run what is missing in processes of this machine."""
+    count = count or processes(next(row.cfg for row in rows if row.cfg is not None))
+    run_jobs(missing_jobs(rows, overrides), count)
+
+
+def run_multiruns(rows: list[TableRow], overrides: list[str]) -> None:
+    """Run what is missing as Hydra multiruns, whose launcher takes the jobs elsewhere."""
+    for job, choices in missing_work(rows):
+        words = [job, "-m", *overrides, *choices]
+        console.print(f"[bold]run[/]       kinema {' '.join(words)}")
+        # -P: a file of the user's in this directory must not be taken for a module of the same name.
+        if subprocess.run([sys.executable, "-P", "-m", "kinema.cli", *words]).returncode:
+            raise OSError(
+                f"`kinema {' '.join(words)}` failed (see above); what is finished is kept: run the same command again "
+                "after mending the cause"
+            )
 
 
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
@@ -92,7 +109,10 @@ def missing_stages(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
             continue
         for name in row.place.runs:
             for run, stage in _unmade(row.cfg, get_stage(name)).items():
-                jobs.setdefault(run, (stage, row.spec.get("method"), _trained_by(row)))
+                jobs.setdefault(
+                    run,
+                    (stage, row.spec.get("method"), tuple(trained_by(row))),
+                )
     work = []
     for level in levels():
         methods: dict[tuple[str, tuple[str, ...]], list[str]] = {}
@@ -117,12 +137,6 @@ def _unmade(cfg: DictConfig, stage: Stage) -> dict[Path, str]:
     for needed in needs_of(stage):
         found |= _unmade(cfg, needed)
     return found
-
-
-def _trained_by(row: TableRow) -> tuple[str, ...]:
-    """Return the row's own overrides that train.py knows."""
-    scoring = OmegaConf.load(CONF / "evaluate.yaml").keys()
-    return tuple(o for o in row.spec.get("overrides", []) if o.split("=")[0].split(".")[0] not in scoring)
 
 
 def _sweep(key: str, values: Iterable[str], methods: Iterable[str], extra: Iterable[str]) -> list[str]:

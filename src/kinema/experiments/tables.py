@@ -57,6 +57,12 @@ def row_overrides(spec: dict[str, Any]) -> list[str]:
     return [f"source={spec['source']}", *method, *spec.get("overrides", [])]
 
 
+def trained_by(row: TableRow) -> list[str]:
+    """Return the row's own overrides that training knows: all that is not about scoring."""
+    scoring = OmegaConf.load(CONF / "evaluate.yaml").keys()
+    return [o for o in row.spec.get("overrides", []) if o.split("=")[0].split(".")[0] not in scoring]
+
+
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
     """Write table.md, table.csv, table.tex and index.html; an incomplete row's cells stay empty."""
     from kinema.report.motions import read_samples
