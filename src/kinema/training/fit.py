@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
@@ -95,7 +95,7 @@ def fit(
         devices=machine.devices,
         num_nodes=machine.num_nodes,
         strategy=machine.strategy,
-        precision=machine.precision,
+        precision=cast(Any, machine.precision),  # Lightning's own names; it tells a wrong one
         max_steps=recipe.steps,
         max_epochs=-1,
         val_check_interval=recipe.validate_every,

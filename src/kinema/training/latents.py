@@ -36,8 +36,7 @@ class LatentCache:
 
     def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
         """Gather the latents of a batch of crops, zero beyond their lengths; nothing is drawn."""
-        keys = zip(batch.entries.tolist(), batch.starts.tolist(), batch.lengths.tolist(), strict=True)
-        rows = [self.rows[key] for key in keys]
+        rows = [self.rows[crop] for crop in batch.crops]
         counts = self.offsets[np.array(rows) + 1] - self.offsets[rows]
         values = np.zeros((len(rows), int(counts.max()), self.dim), np.int64 if self.discrete else np.float32)
         for i, row in enumerate(rows):
@@ -70,9 +69,7 @@ class LatentCache:
 
     @staticmethod
     @torch.no_grad()
-    def _write(
-        folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str, batch: int = 64
-    ) -> None:
+    def _write(folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str) -> None:
         crops = [(int(e), s, n) for data in clips for e in data.entries for s, n in data.crops(int(e))]
         store = clips[0].store
         # Crops of one length go together: no padding, and a result that does not depend on the neighbours' lengths.
@@ -98,6 +95,8 @@ class LatentCache:
             for i, row in zip(chunk, encoded, strict=True):
                 values[offsets[i] : offsets[i + 1]] = row
             start += len(chunk)
+        if values is None:
+            raise ValueError("there is no crop to encode; the corpus has no clip of a usable length")
         values.flush()
         np.save(folder / "keys.npy", np.array(crops, np.int64))
         np.save(folder / "offsets.npy", offsets.astype(np.int64))

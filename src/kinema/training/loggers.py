@@ -29,8 +29,11 @@ def loggers(names: list[str], folder: Path, *, project: str, mode: str, config: 
             elif name == "tensorboard":
                 made.append(TensorBoardLogger(folder, name="logs", version="tensorboard"))
             else:
-                same = {"project": project, "name": folder.name, "id": folder.name[-12:], "save_dir": folder}
-                made.append(WandbLogger(**same, offline=mode != "online", config=config))
+                name_and_id: dict[str, Any] = {"name": folder.name, "id": folder.name[-12:]}
+                offline = mode != "online"
+                made.append(
+                    WandbLogger(project=project, save_dir=folder, offline=offline, config=config, **name_and_id)
+                )
         yield made
     finally:
         if "wandb" in names:
