@@ -104,8 +104,8 @@ def sweeps(jobs: Iterable[Job]) -> list[list[str]]:
         extra = tuple(o for o in rest if o not in own)
         methods.setdefault((what, extra), []).extend(o.split("=")[1] for o in own)
     joined: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
-    for (what, extra), chosen in methods.items():
-        joined.setdefault((tuple(chosen), extra), []).append(what)
+    for (what, extra), names in methods.items():
+        joined.setdefault((tuple(names), extra), []).append(what)
     found = []
     for (chosen, extra), whats in joined.items():
         key, values = whats[0].split("=")[0], [what.split("=")[1] for what in whats]
