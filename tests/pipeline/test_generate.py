@@ -95,7 +95,7 @@ def test_bad_requests_are_named(model, arguments, message):
 
 
 def test_a_part_of_a_frame_is_refused():
-    with pytest.raises(ValueError, match="frames=40.5 is no whole number"):
+    with pytest.raises(ValueError, match=r"frames=40\.5 is no whole number"):
         frame_counts(40.5, None, 1, fps=20, maximum=196)
 
 

@@ -96,7 +96,7 @@ def kept_frames(kept: Bool[Tensor, "b n"], space: LatentSpace) -> Bool[Tensor, "
     return kept.repeat_interleave(space.in_time("keeping a part of a motion"), dim=1)
 
 
-def paste(result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b t"]) -> MotionBatch:
+def paste(result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b k"]) -> MotionBatch:
     """Put the source's rows, of the result's columns, in the place of those that are kept."""
     size, width = result.features.shape[1:]
     kept = (keep[:, :size] & result.mask)[..., None]
