@@ -80,9 +80,15 @@ class Stage:
         raise TypeError(f"{type(self).__name__} says nothing of how it is made; write its method make")
 
 
-def asked_for(cfg: DictConfig) -> Path | None:
-    """Return the folder that `run=` of an evaluation names: a path, or `latest:METHOD`."""
-    return find_run(cfg.run, cfg.paths.runs) if cfg.get("run") else None
+def asked_for(cfg: DictConfig, key: str = "run") -> Path | None:
+    """Return the folder that the configuration names under a key: a path, or `latest:METHOD`."""
+    run = OmegaConf.select(cfg, key)
+    return find_run(run, cfg.paths.runs) if run else None
+
+
+def dims(kind: str, variant: str) -> str:
+    """Name a representation as its option is called."""
+    return variant if (kind, variant) == ("redundant", "published") else kind
 
 
 def given_run(cfg: DictConfig, stage: Stage) -> RunFolder | None:

@@ -36,7 +36,7 @@ class FittedStage(Stage):
     def settings(self, cfg: DictConfig) -> dict[str, Any]:
         """Return the model, and of its recipe what can change the weights that are kept."""
         own = plain(self.config(cfg))
-        train = dict(own["train"] or {})
+        train = dict(own.get("train") or {})
         left_out = PACE if train.get("select", "last") == "last" else ("checkpoint_every",)
         return {
             "model": own["model"],
@@ -59,9 +59,13 @@ class FittedStage(Stage):
             return build(self.spec(cfg))
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
-        """Check that there are captions for a recipe that reads them."""
-        train = self.config(cfg).train
-        if train is not None and train.data == "clips":
+        """Check the options of model and recipe, and that there are captions for a recipe that reads them."""
+        from kinema.experiments.training import check_options
+
+        check_options(self, cfg, store)
+        self.sketch(cfg)
+        train = self.config(cfg).get("train")
+        if train and train.data == "clips":
             require_captions(store, "train", "val")
 
     def module(

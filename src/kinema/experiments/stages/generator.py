@@ -11,7 +11,7 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import read_model
-from kinema.experiments.stages.base import asked_for
+from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.runs.folder import RunFolder
 
@@ -29,8 +29,9 @@ class GeneratorStage(ConditionedStage):
     needs = ("tokenizer",)
 
     def label(self, cfg: DictConfig) -> str:
-        """Name the method and its dims; methods of a family share their runs."""
-        return f"{cfg.method.get('family', cfg.method.name)}-{cfg.representation.kind}"
+        """Name the method, its generator's size or variant, and its dims; methods of a family share their runs."""
+        words = [cfg.method.get("family", cfg.method.name), cfg.generator.get("variant"), dims(**cfg.representation)]
+        return "-".join(word for word in words if word)
 
     def spec(self, cfg: DictConfig) -> dict[str, Any]:
         """Return the model's spec; it holds the sampling that its users get by default."""

@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
 from kinema.evaluation.encoders.base import Vocabulary
+from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.runs.folder import RunFolder
 
@@ -22,7 +23,7 @@ class EvaluatorStage(FittedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the evaluator and its dims."""
-        return f"evaluator_{cfg.evaluator.name}-{cfg.evaluator.representation}"
+        return f"evaluator_{cfg.evaluator.name}-{dims(cfg.evaluator.representation, cfg.evaluator.variant)}"
 
     def dims(self, cfg: DictConfig) -> str:
         """Name the columns that the evaluator reads."""
@@ -36,8 +37,7 @@ class JudgeStage(EvaluatorStage):
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run of an imported evaluator."""
-        path = (cfg.get("evaluators") or {}).get(self.given_as)
-        return Path(path) if path else None
+        return asked_for(cfg, f"evaluators.{self.given_as}")
 
     def vocabulary(self, cfg: DictConfig) -> Vocabulary:
         """Return what it reads captions with; its model's width follows."""
