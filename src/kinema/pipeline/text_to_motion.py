@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from jaxtyping import Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from kinema.devices import find_device
 from kinema.generators import Generator
