@@ -70,6 +70,21 @@ def test_validation_is_the_same_every_time_and_for_every_seed(store):
         assert all(same(a, b) for a, b in zip(runs[0], run, strict=True))
 
 
+@pytest.mark.parametrize("count", [5, 9, 10])
+def test_a_validation_item_left_alone_joins_the_batch_before_it(store, count):
+    whole, batched = (
+        [
+            name
+            for batch in module(store, val_batch_size=size, val_limit=count).val_dataloader()
+            for name in batch.clip_ids
+        ]
+        for size in (count, 4)
+    )
+    assert batched == whole
+    sizes = [len(b.lengths) for b in module(store, val_batch_size=4, val_limit=count).val_dataloader()]
+    assert sizes == {5: [5], 9: [4, 5], 10: [4, 4, 2]}[count]
+
+
 def test_validation_can_be_bounded(store):
     batches = list(module(store, kind="windows", val_limit=7, val_batch_size=5).val_dataloader())
     assert [len(b.lengths) for b in batches] == [5, 2]

@@ -97,7 +97,8 @@ class MotionDataModule(L.LightningDataModule):
         items = [(index, item_seed(VALIDATION_SEED, 0, index)) for index in chosen]
         batches = [items[i : i + self.val_batch_size] for i in range(0, count, self.val_batch_size)]
         if len(batches) > 1 and len(batches[-1]) == 1:  # a contrastive loss is of two at least
-            batches[-2] += batches.pop()
+            alone = batches.pop()
+            batches[-1].extend(alone)
         return self._loader(dataset, batches)
 
     def test_batches(
