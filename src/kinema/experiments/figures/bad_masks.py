@@ -74,7 +74,7 @@ def training(model: BAD, steps: int = 3) -> list[Panel]:
     latents = Latents(lengths, lengths * 4, codes=torch.arange(TOKENS)[None, :, None])
     text = TextFeatures([""], torch.zeros(1, 8))
 
-    def record(module: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> None:
+    def record(module: torch.nn.Module, inputs: tuple[Any, ...]) -> None:
         ids, _, visible = inputs[0][0], inputs[1], inputs[2][0]
         masked, orders = ids >= model.first_mask, ids - model.first_mask
         panels.append(panel(f"{int(masked.sum())} of {TOKENS} masked", visible, orders, masked, TOKENS))
