@@ -8,11 +8,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.decoding.draws import TokenDraws
-from kinema.generators.bamm.sampling import BammSampling, SlotDecoder
+from kinema.generators.bamm.sampling import BammSampling, SlotDecoder, Slots
 from kinema.generators.bamm.training import BammDraws
 from kinema.generators.draws import share_of
 from kinema.generators.tokens.encoder import TokenEncoder
-from kinema.generators.tokens.generator import TokenGenerator
 from kinema.generators.tokens.residual import ResidualSampling
 from kinema.generators.tokens.targets import per_sample, targets
 from kinema.nn.mode import inference
@@ -32,7 +31,7 @@ def condition_mask(condition: Bool[Tensor, "b s"]) -> Bool[Tensor, "b m m"]:
     return condition[:, None, :] | (~condition[:, :, None] & causal)
 
 
-class BAMM(TokenGenerator):
+class BAMM(Slots):
     """Predict slot p of [code 1, ..., code L, END] at position p of [text, slots], some slots being conditions (BAMM).
 
     norm="post" is the published network, "pre" its alternative (`t2mgpt`). Slots hold codes, END or PAD; there is no

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,6 +14,7 @@ from kinema.decoding.autoregressive import decode_left_to_right
 from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
 from kinema.generators.tokens.choices import check_draw
 from kinema.generators.tokens.encoder import TokenEncoder
+from kinema.generators.tokens.generator import TokenGenerator
 from kinema.generators.tokens.targets import targets
 from kinema.masking import lowest, masked_count
 from kinema.nn.attention import KeyValueCache
@@ -64,18 +64,14 @@ class BammSampling:
         return SeededDraws(seeds) if self.temperature else Greedy(seeds)
 
 
-@runtime_checkable
-class Slots(Protocol):
+class Slots(TokenGenerator):
     """What decoding needs of a model; calling it gives all positions' logits."""
 
-    codebook_size: int
+    # A base class and no protocol: since Python 3.12 a check of a protocol overlooks a module's submodules.
     end: int
     pad: int
-    max_latents: int
     token_embedding: nn.Embedding
     encoder: TokenEncoder
-
-    def __call__(self, ids: Tensor, text: Tensor, condition: Tensor) -> Tensor: ...
 
 
 class SlotDecoder:
