@@ -11,6 +11,7 @@ from kinema.tokenizers import MotionTokenizer
 from kinema.types import MotionBatch
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))
+TRAINED = [name for name in TOKENIZERS if name != "frames"]  # which has nothing to train, and no parameter
 DIMS = ("essential", "redundant", "published")
 
 
@@ -21,7 +22,7 @@ def parts(workshop, name: str, dims: str = "published"):
 
 
 @pytest.mark.parametrize("dims", DIMS)
-@pytest.mark.parametrize("name", TOKENIZERS)
+@pytest.mark.parametrize("name", TRAINED)
 def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(workshop, name, dims):
     parts(workshop, name, dims)
     model = workshop.make("tokenizer", f"tokenizer={name}", f"representation={dims}").train()

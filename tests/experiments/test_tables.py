@@ -135,10 +135,12 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_sweep_whose_job_fails_fails(micro, tmp_path):
+def test_a_job_that_fails_is_named_and_nothing_is_rendered(table, micro, tmp_path):
     wrong = [*micro, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
-    with pytest.raises(OSError, match=r"kinema train -m .* failed \(see above\)"):
-        reproduce.reproduce("table5", wrong, out=tmp_path / "report")
+    with pytest.raises(OSError, match=r"`kinema train stage=\w+ .*` failed: .*100000"):
+        reproduce.reproduce("table5", wrong, jobs=1, out=tmp_path / "report")
+    with pytest.raises(OSError, match=r"`kinema train -m .*` failed \(see above\)"):
+        reproduce.run_multiruns(plan(table, wrong), wrong)
     assert not (tmp_path / "report").exists()
 
 
@@ -148,17 +150,16 @@ def test_nothing_is_left_to_run_when_all_is_there(complete, table, micro):
 
 def test_work_is_ordered_upstream_first(table, micro, tmp_path):
     work = missing_work(plan(table, [*micro, f"paths.runs={tmp_path}"]))
-    assert [(script, choices[0]) for script, choices in work] == [
-        ("train", "stage=contrastive,decomposition"),
-        ("train", "stage=tokenizer"),
-        ("train", "stage=matching"),
-        ("train", "stage=residual"),
-        ("train", "stage=generator"),
-        ("evaluate", "source=real,shuffled"),
-        ("evaluate", "source=noise"),
-        ("evaluate", "source=nearest"),
-        ("evaluate", "source=reconstruction"),
-        ("evaluate", "source=generation"),
+    assert [" ".join([command, choices[0]]) for command, choices in work] == [
+        "train stage=tokenizer",
+        "train stage=decomposition,contrastive",
+        "train stage=length",
+        "train stage=residual",
+        "train stage=matching",
+        "train stage=generator",
+        "evaluate source=real,shuffled",
+        "evaluate source=noise,nearest,reconstruction",
+        "evaluate source=generation",
     ]
 
 

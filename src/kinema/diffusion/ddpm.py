@@ -26,6 +26,9 @@ class DDPM(nn.Module):
     "dpmpp_2m", over all steps or fewer (see `spaced_timesteps`).
     """
 
+    signal: Tensor
+    noise: Tensor
+
     def __init__(
         self,
         steps: int = 50,

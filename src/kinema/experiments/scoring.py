@@ -17,7 +17,6 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.cache import motion_key
-from kinema.evaluation.encoders.base import TextMotionEvaluator, Vocabulary
 from kinema.evaluation.metrics.fid import half_against_half
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
@@ -50,7 +49,10 @@ class Scorer:
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
         words = {key: stage.vocabulary(cfg) for key, stage in judges().items()}
-        models = {key: self._judge(row.judges[stage.name], words[key]) for key, stage in judges().items()}
+        models = {
+            key: read_model(row.judges[stage.name], stage.name).to(self.device).attach(words[key])
+            for key, stage in judges().items()
+        }
         self.matching, self.contrastive = models["t2m"], models["clip"]
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.source = self._source(row)
@@ -119,16 +121,15 @@ class Scorer:
 
     def save_samples(self, path: Path, result: ReplicationResult) -> None:
         """Keep a few motions of the replication as joints."""
-        batch: MotionBatch = result.samples
+        batch = result.samples
+        if batch is None:
+            return
         count = min(SAMPLES, len(batch.lengths))
         joints = recover_joints(batch.features[:count].float().cpu(), self.store.skeleton).numpy()
         arrays = {f"joints{i}": joints[i, : int(batch.lengths[i])].astype(np.float32) for i in range(count)}
         arrays |= {"texts": np.array(batch.texts[:count]), "skeleton": np.array(self.store.skeleton.name)}
         with replacing(path) as temporary:
-            np.savez(temporary, **arrays)
-
-    def _judge(self, run: Path, vocabulary: Vocabulary) -> TextMotionEvaluator:
-        return read_model(run).to(self.device).attach(vocabulary)
+            np.savez(temporary, allow_pickle=False, **arrays)
 
     def _source(self, row: Row) -> sources.Source:
         name, cfg = self.cfg.source, self.cfg
@@ -152,8 +153,8 @@ class Scorer:
             if cfg.task == "editing":
                 return sources.Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
             return sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
-        (run,) = row.subject.values()
-        tokenizer = read_model(run).to(self.device)
+        ((part, run),) = row.subject.items()
+        tokenizer = read_model(run, part).to(self.device)
         if name == "reconstruction":
             return sources.Reconstruction(tokenizer)
         if tokenizer.space.kind == "codes":
@@ -192,7 +193,7 @@ class Scorer:
         for field in self.store.fields:
             if field == "licence":
                 continue
-            values = [self.store.entry_field(entry, field) for entry in batch.entries.tolist()]
+            values = [self.store.entry_field(entry, field) for entry, _, _ in batch.crops]
             if len(self.tested[field]) > MOST_VALUES:
                 seen = ["seen" if value in self.trained[field] else "unseen" for value in values]
                 found[f"{field} seen in training"] = seen

@@ -18,14 +18,16 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from torch import nn
 
+from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop.checkpoint import read_checkpoint, unwrap
+from kinema.runs.parts import CONTRASTIVE, GENERATOR, LENGTH, MATCHING, TOKENIZER
 
 _BASE = ("t2m_transformer", "trans")
-_MATCHING = ("movement_encoder", "text_encoder", "motion_encoder")
+_T2M = ("movement_encoder", "text_encoder", "motion_encoder")
 
 
 @dataclass(frozen=True)
@@ -38,29 +40,29 @@ class Kind:
 
     module: str
     wrappers: tuple[str, ...]
-    part: Literal["tokenizer", "generator", "residual", "length", "evaluator"]
+    part: str
     tokenizer: str | None = None
     residual: str | None = None
     several: bool = False
 
 
 KINDS: dict[str, Kind] = {
-    "mardm-ae": Kind("kinema.interop.autoencoder", ("ae",), "tokenizer"),
-    "t2m-gpt-vq": Kind("kinema.interop.vq", ("net",), "tokenizer"),
-    "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",), "tokenizer"),
-    "mmm-vq": Kind("kinema.interop.vq", ("net",), "tokenizer"),
-    "momask-rvq": Kind("kinema.interop.rvq", ("vq_model", "net"), "tokenizer"),
-    "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm"), "generator", "mardm-ae"),
-    "t2m-gpt": Kind("kinema.interop.gpt", ("trans",), "generator", "t2m-gpt-vq"),
-    "attt2m": Kind("kinema.interop.gpt", ("trans",), "generator", "attt2m-vq"),
-    "mmm": Kind("kinema.interop.mmm", ("trans",), "generator", "mmm-vq"),
-    "bad": Kind("kinema.interop.bad", ("trans",), "generator", "mmm-vq"),
-    "momask": Kind("kinema.interop.momask", _BASE, "generator", "momask-rvq", "momask-residual"),
-    "bamm": Kind("kinema.interop.bamm", _BASE, "generator", "momask-rvq", "momask-residual"),
-    "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",), "residual", "momask-rvq"),
-    "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",), "length"),
-    "t2m-evaluator": Kind("kinema.interop.t2m_evaluator", _MATCHING, "evaluator", several=True),
-    "clip-evaluator": Kind("kinema.interop.clip_evaluator", ("contrast_model",), "evaluator"),
+    "mardm-ae": Kind("kinema.interop.autoencoder", ("ae",), TOKENIZER),
+    "t2m-gpt-vq": Kind("kinema.interop.vq", ("net",), TOKENIZER),
+    "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",), TOKENIZER),
+    "mmm-vq": Kind("kinema.interop.vq", ("net",), TOKENIZER),
+    "momask-rvq": Kind("kinema.interop.rvq", ("vq_model", "net"), TOKENIZER),
+    "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm"), GENERATOR, "mardm-ae"),
+    "t2m-gpt": Kind("kinema.interop.gpt", ("trans",), GENERATOR, "t2m-gpt-vq"),
+    "attt2m": Kind("kinema.interop.gpt", ("trans",), GENERATOR, "attt2m-vq"),
+    "mmm": Kind("kinema.interop.mmm", ("trans",), GENERATOR, "mmm-vq"),
+    "bad": Kind("kinema.interop.bad", ("trans",), GENERATOR, "mmm-vq"),
+    "momask": Kind("kinema.interop.momask", _BASE, GENERATOR, "momask-rvq", "momask-residual"),
+    "bamm": Kind("kinema.interop.bamm", _BASE, GENERATOR, "momask-rvq", "momask-residual"),
+    "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",), RESIDUAL, "momask-rvq"),
+    "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",), LENGTH),
+    "t2m-evaluator": Kind("kinema.interop.t2m_evaluator", _T2M, MATCHING, several=True),
+    "clip-evaluator": Kind("kinema.interop.clip_evaluator", ("contrast_model",), CONTRASTIVE),
 }
 
 

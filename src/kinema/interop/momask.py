@@ -62,7 +62,7 @@ def encoder_spec(state: Mapping[str, Tensor], kind: str) -> dict[str, int]:
 
 def split_attention(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Split each fused `in_proj` into the projections of query, key and value."""
-    split = {}
+    split: dict[str, Tensor] = {}
     for key, value in state.items():
         attention, fused, tensor = key.rpartition(".in_proj_")
         if fused:

@@ -16,6 +16,9 @@ from kinema.runs.folder import RunFolder, read_json
 GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
 """The parts that a pipeline itself knows by name; a generator names those that it takes."""
 
+MATCHING, CONTRASTIVE = "matching", "contrastive"
+"""The evaluators, T2M-style and CLIP-style."""
+
 UPSTREAM, TEXT = "upstream.json", "text.json"
 
 

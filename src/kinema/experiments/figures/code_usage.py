@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from kinema.experiments.instantiate import read_model
 from kinema.motion.view.draw import new_figure
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
+from kinema.runs.parts import TOKENIZER
 from kinema.tokenizers import MotionTokenizer
 
 if TYPE_CHECKING:
@@ -59,12 +60,12 @@ def measure(run: Path, split: str = "test", device: torch.device | str = "cpu") 
     """
     tokenizer, cfg = _read(run)
     store = PackedStore.open(open_corpus(cfg))
-    usage = CodeUsage(tokenizer.space.codebook_size, tokenizer.space.quantizers)
-    usage = count(tokenizer.to(device), store, split, usage.to(device)).compute()
+    counter = CodeUsage(tokenizer.space.classes, tokenizer.space.quantizers).to(device)
+    usage = count(tokenizer.to(device), store, split, counter).compute()
     names = ("perplexity", "used", "dead")
     return {
         "run": str(run),
-        "tokenizer": cfg.tokenizer.name,
+        TOKENIZER: cfg.tokenizer.name,
         "dims": tokenizer.representation.kind,
         "seed": cfg.seed,
         "scale": cfg.scale.name,
@@ -94,7 +95,7 @@ def count(tokenizer: MotionTokenizer, store: PackedStore, split: str, usage: Cod
 
 def write_report(results: list[dict[str, Any]], out: Path) -> list[Path]:
     """Write code_usage.json, code_usage.md and, where matplotlib is installed, code_usage.png."""
-    results = sorted(results, key=lambda r: (r["tokenizer"], r["scale"], r["seed"], DIMS.index(r["dims"]), r["run"]))
+    results = sorted(results, key=lambda r: (r[TOKENIZER], r["scale"], r["seed"], DIMS.index(r["dims"]), r["run"]))
     write_json(out / "code_usage.json", {"runs": results})
     written = [out / "code_usage.json", write_text(out / "code_usage.md", markdown(results))]
     try:
@@ -106,7 +107,7 @@ def write_report(results: list[dict[str, Any]], out: Path) -> list[Path]:
 
 def markdown(results: list[dict[str, Any]]) -> str:
     """Write one row per run and layer, and the mean where there are several layers."""
-    heads = ["tokenizer", "dims", "layer", "codes", "used", "dead", "perplexity"]
+    heads = [TOKENIZER, "dims", "layer", "codes", "used", "dead", "perplexity"]
     lines = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}"]
     for result in results:
         start = [label(result), result["dims"]]
@@ -126,7 +127,7 @@ def draw(results: list[dict[str, Any]], path: Path) -> Path:
 
     Raises ImportError without matplotlib.
     """
-    rows: dict[str, dict[str, list]] = {}
+    rows: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for result in results:
         rows.setdefault(label(result), {kind: [] for kind in DIMS})[result["dims"]].append(result)
     figure = new_figure(9, 1 + 2.6 * len(rows), dpi=120)
@@ -149,7 +150,7 @@ def draw(results: list[dict[str, Any]], path: Path) -> Path:
 
 def label(result: dict[str, Any]) -> str:
     """Name a tokenizer, whatever dims it reads."""
-    return f"{result['tokenizer']} ({result['scale']}, seed {result['seed']})"
+    return f"{result[TOKENIZER]} ({result['scale']}, seed {result['seed']})"
 
 
 def _histogram(panel: Axes, result: dict[str, Any]) -> None:
@@ -173,7 +174,7 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
         raise FileNotFoundError(
             f"{run} is no finished run of a tokenizer (its state is {state!r}); give folders of runs/tokenizer"
         )
-    tokenizer = read_model(run)
+    tokenizer = read_model(run, TOKENIZER)
     if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
-    return tokenizer, OmegaConf.load(run / "config.yaml")
+    return tokenizer, cast(DictConfig, OmegaConf.load(run / "config.yaml"))

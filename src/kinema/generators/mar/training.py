@@ -79,11 +79,12 @@ def corrupt(
     return torch.where(hidden[..., None], mask_latent.to(latents.dtype), latents)
 
 
-def check_latents(latents: Latents, space: LatentSpace) -> None:
-    """Raise ValueError for codes, another number of channels or too many positions."""
+def check_latents(latents: Latents, space: LatentSpace) -> Float[Tensor, "b n c"]:
+    """Return a batch's values; raises ValueError for codes, another number of channels or too many positions."""
     values, channels, most = latents.values, space.width, space.most
     if values is None or values.shape[2] != channels:
         found = "codes" if values is None else f"values of {values.shape[2]} channels"
         raise ValueError(f"this generator was built for values of {channels} channels (latent_dim), not for {found}")
     if values.shape[1] > most:
         raise ValueError(f"{values.shape[1]} latents exceed max_latents={most}; raise it or crop the motions")
+    return values

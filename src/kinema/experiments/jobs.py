@@ -1,0 +1,127 @@
+"""Make what a table lacks on this machine: jobs side by side, each as soon as the runs that it reads are there."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shlex
+from collections.abc import Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from kinema.data.store import PackedStore
+from kinema.experiments.config import compose, refuse_processes
+from kinema.experiments.corpus import open_corpus
+from kinema.experiments.run import stage_folder
+from kinema.experiments.stages import companions_of, get_stage, needs_of
+from kinema.experiments.stages.base import Stage
+from kinema.experiments.tables import TableRow, row_overrides, trained_by
+from kinema.runs.console import console
+
+TRAIN, EVALUATE = "train", "evaluate"
+
+
+@dataclass(frozen=True)
+class Job:
+    """Hold one call of `kinema train` or `kinema evaluate`: the folder it finishes, and those it waits for."""
+
+    command: str
+    overrides: tuple[str, ...]
+    makes: Path
+    reads: frozenset[Path] = frozenset()
+
+    def __str__(self) -> str:
+        return shlex.join(["kinema", self.command, *self.overrides])
+
+
+def missing_jobs(rows: Iterable[TableRow], shared: list[str]) -> list[Job]:
+    """Return a job for each run and each scored row that is lacking, each run once; what most wait for comes first."""
+    jobs: dict[Path, Job] = {}
+    for row in rows:
+        if row.cfg is None or row.place is None or row.complete:
+            continue
+        method = [f"method={row.spec['method']}"] if "method" in row.spec else []
+        trained = [*shared, *method, *trained_by(row)]
+        reads = set()
+        for name, path in row.place.runs.items():
+            if _add_stage(jobs, row.cfg, get_stage(name), trained) is not None:
+                reads.add(path)
+        scored = (*shared, *row_overrides(row.spec))
+        jobs[row.place.folder.path] = Job(EVALUATE, scored, row.place.folder.path, frozenset(reads))
+    return sorted(jobs.values(), key=lambda job: -_height(job, jobs))
+
+
+def _add_stage(jobs: dict[Path, Job], cfg: DictConfig, stage: Stage, overrides: list[str]) -> Path | None:
+    """Add the jobs that make a stage's run and those behind and beside it; None if it is there or given."""
+    if not stage.present(cfg) or stage.given(cfg) is not None:
+        return None
+    run = stage_folder(cfg, stage, PackedStore.open(open_corpus(cfg)).hash)
+    if run.done:
+        return None
+    if run.path not in jobs:
+        wanted = (_add_stage(jobs, cfg, other, overrides) for other in (*needs_of(stage), *companions_of(stage)))
+        reads = frozenset(path for path in wanted if path is not None)
+        jobs[run.path] = Job(TRAIN, (f"stage={stage.name}", *overrides), run.path, reads)
+    return run.path
+
+
+def _height(job: Job, jobs: dict[Path, Job]) -> int:
+    """Count the longest chain of jobs that waits for this one."""
+    waiting = [other for other in jobs.values() if job.makes in other.reads]
+    return 1 + max((_height(other, jobs) for other in waiting), default=0)
+
+
+def processes(cfg: DictConfig) -> int:
+    """Choose how many jobs run side by side: one a core where each takes one thread of a CPU, else one."""
+    from kinema.devices import find_device
+
+    if cfg.trainer.threads != 1 or find_device(cfg.trainer.accelerator).type != "cpu":
+        return 1
+    # Cores that this process may use, which in a container are fewer than the machine has.
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def run_jobs(jobs: list[Job], count: int) -> None:
+    """Run jobs in `count` processes that stay for all of them, so that imports are paid once.
+
+    Raises OSError naming the first job that failed; what was running then is finished, and kept.
+    """
+    waiting, unfinished = list(jobs), {job.makes for job in jobs}
+    running: dict[Future[None], Job] = {}
+    failed: tuple[Job, BaseException] | None = None
+    # Spawned, not forked: torch's threads would not survive a fork.
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+        while running or (waiting and failed is None):
+            ready = [job for job in waiting if not job.reads & unfinished] if failed is None else []
+            for job in ready[: count - len(running)]:
+                waiting.remove(job)
+                console.print(f"[bold]run[/]       {job}")
+                running[pool.submit(work, job, quiet=count > 1)] = job
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job = running.pop(future)
+                unfinished.discard(job.makes)
+                if (error := future.exception()) is not None:
+                    failed = failed or (job, error)
+    if failed is not None:
+        job, error = failed
+        raise OSError(
+            f"`{job}` failed: {error}; what is finished is kept: run the same command again after mending the cause"
+        ) from error
+
+
+def work(job: Job, *, quiet: bool) -> None:
+    """Do one job in this process; `quiet`: without a progress bar, since others print too."""
+    bars = ["trainer.progress=none"] if quiet else []
+    cfg = compose([*bars, *job.overrides], job.command)
+    refuse_processes(cfg, multirun=True)
+    if job.command == TRAIN:
+        from kinema.experiments.run import run_stage
+
+        run_stage(cfg, cfg.stage)
+    else:
+        from kinema.experiments.evaluation import run_evaluation
+
+        run_evaluation(cfg)
