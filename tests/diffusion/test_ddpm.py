@@ -70,7 +70,7 @@ def test_noise_is_drawn_once_per_step_but_the_last():
 
 
 def test_an_untrained_model_diverges_unless_clipped():
-    """Show why an undertrained model is clipped: the first step multiplies the epsilon error by 1015."""
+    """Show why an undertrained model is clipped: the first step multiplies the epsilon error by 32."""
     process, limits = DDPM(), (torch.tensor([-3.0, -1.0]), torch.tensor([3.0, 1.0]))
     free = process.sample(lambda x, t: torch.zeros_like(x), noises(200, 2))
     clipped = process.sample(lambda x, t: torch.zeros_like(x), noises(200, 2), clip=limits)
