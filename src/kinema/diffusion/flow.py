@@ -39,12 +39,22 @@ class Flow(nn.Module):
         time = time.view((-1,) + (1,) * (x1.ndim - 1))
         return time * x1 + (1 - time) * noise
 
+    def progress(self, time: Tensor) -> float:
+        """Return how far from noise (0) to data (1) one time is."""
+        return time.item()
+
+    def errors(
+        self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
+    ) -> Float[Tensor, "n *d"]:
+        """Return the squared errors of the velocity, to be averaged by `loss` or over what is no padding."""
+        output = predict(self.add_noise(x1, time, noise), time)
+        return (output - (x1 - noise)).square()
+
     def loss(
         self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
         """Return the squared error of the velocity per row, averaged over its dims."""
-        output = predict(self.add_noise(x1, time, noise), time)
-        return (output - (x1 - noise)).square().flatten(1).mean(dim=1)
+        return self.errors(predict, x1, time, noise).flatten(1).mean(dim=1)
 
     def sample(
         self,
