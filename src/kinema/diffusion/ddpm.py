@@ -56,6 +56,13 @@ class DDPM(nn.Module):
         target = noise if self.prediction == "epsilon" else x1
         return (output - target).square().flatten(1).mean(dim=1)
 
+    def output_for(self, x1: Float[Tensor, "n *d"], x: Float[Tensor, "n *d"], time: Tensor) -> Float[Tensor, "n *d"]:
+        """Return the prediction at `x` that stands for clean data `x1`."""
+        if self.prediction == "x0":
+            return x1
+        time = time.long().view((-1,) + (1,) * (x.ndim - 1))
+        return (x - self.signal[time] * x1) / self.noise[time]
+
     def resolve(self, solver: str | None, steps: int | str | None) -> tuple[str, Schedule]:
         """Check a choice of solver and steps, fill in the defaults and respace the schedule."""
         solver = solver or "ancestral"

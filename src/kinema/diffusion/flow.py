@@ -46,6 +46,11 @@ class Flow(nn.Module):
         output = predict(self.add_noise(x1, time, noise), time)
         return (output - (x1 - noise)).square().flatten(1).mean(dim=1)
 
+    def output_for(self, x1: Float[Tensor, "n *d"], x: Float[Tensor, "n *d"], time: Tensor) -> Float[Tensor, "n *d"]:
+        """Return the velocity at `x` that leads to the data `x1`."""
+        time = time.view((-1,) + (1,) * (x.ndim - 1))
+        return (x1 - x) / (1 - time).clamp(min=1e-3)
+
     def sample(
         self,
         predict: Predict,

@@ -14,8 +14,8 @@ Predict = Callable[[Tensor, Tensor], Tensor]
 
 def guided(
     predict: Callable[[Tensor, Tensor, Tensor], Tensor],
-    condition: Float[Tensor, "n z"],
-    empty: Float[Tensor, "n z"] | None,
+    condition: Float[Tensor, "n *z"],
+    empty: Float[Tensor, "n *z"] | None,
     scale: float,
 ) -> Predict:
     """Close `predict(x, t, condition)` over guidance: empty + scale * (conditional - empty), both halves in one batch.

@@ -1,0 +1,1 @@
+"""Load and write MotionDiffuse's published denoiser (`latest.tar`, entry `encoder`; MotionDiffuse)."""
