@@ -94,7 +94,7 @@ def run(
     return x
 
 
-def initialize_as_torch(blocks: Sequence[nn.Module]) -> None:
+def initialize_as_torch(blocks: nn.ModuleList) -> None:
     """Start as torch's stacks of layers do: attention Xavier, its biases 0, all blocks copies of the first (MDM §2)."""
     for part in blocks[0].modules():
         if isinstance(part, Attention):
