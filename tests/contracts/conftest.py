@@ -44,6 +44,8 @@ class Workshop:
 
     def _tokenizer(self, *overrides: str) -> torch.nn.Module:
         model = self.make("tokenizer", *overrides)
+        if self.cfg(*overrides).tokenizer.train is None:
+            return model.eval()
         model.train()
         model.loss(self.windows(), generator=torch.Generator().manual_seed(0))
         return model.eval()
