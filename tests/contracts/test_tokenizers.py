@@ -27,7 +27,7 @@ def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(workshop, 
     choice = (f"tokenizer={name}", f"representation={dims}")
     model = workshop.make("tokenizer", *choice).train()
     if workshop.cfg(*choice).tokenizer.train is None:
-        with pytest.raises(ValueError, match="no tokenizer to train; set tokenizer.train=null"):
+        with pytest.raises(ValueError, match=r"no tokenizer to train; set tokenizer\.train=null"):
             model.loss(workshop.windows())
         return
     losses = model.loss(workshop.windows(), generator=torch.Generator().manual_seed(0))
