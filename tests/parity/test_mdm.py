@@ -8,7 +8,8 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.generators.frames.training import FrameDraws, averaged, without_text
+from kinema.diffusion.errors import per_sequence
+from kinema.generators.frames.training import FrameDraws, without_text
 from kinema.generators.mdm import MDM, FrameSampling
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
@@ -49,7 +50,7 @@ def test_encoder(golden_file, mask_frames):
     outputs = [model.denoiser(x, time, *model.denoiser.read(t), real) for t in (text, without_text(text))]
     for ours, name in zip(outputs, ("cond", "uncond"), strict=True):
         close(ours, rows(golden[f"out.{name}{end}"]))
-    predict = model._predictor(text, real, 2.5)
+    predict = model._predictor(text, real, FrameSampling(guidance=2.5))
     close(predict(x, torch.cat((time, time))), rows(golden[f"out.cfg{end}"]), 7e-5)
 
 
@@ -63,8 +64,8 @@ def test_loss_per_sample(golden_file, prediction, steps, mask_frames):
     noise, x0, lengths = rows(golden["in.noise"]), rows(golden["in.x0"]), golden["in.lengths"]
     close(model.process.add_noise(x0, time, noise), rows(golden[f"out.x_t_T{steps}"]), 1e-5)
     draws = FrameDraws(torch.zeros(3, dtype=torch.bool), time, noise)
-    errors = model.errors(x0, lengths, text_of(golden), draws)
-    losses = averaged(errors, frame_mask(lengths, 16), "sample")
+    real = frame_mask(lengths, 16)
+    losses = per_sequence(model.errors(x0, text_of(golden), draws, real), real)
     name = {"x0": "x0", "epsilon": "eps"}[prediction]
     expected = golden[f"out.loss_{name}_T{steps}{'_masked' if mask_frames else ''}"]
     close(losses, expected, 1e-5)

@@ -8,10 +8,11 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from kinema import interop
-from kinema.generators.frames.training import FrameDraws, averaged
+from kinema.diffusion.errors import per_frame
+from kinema.generators.frames.training import FrameDraws
 from kinema.generators.motiondiffuse import FrameSampling, MotionDiffuse
 from kinema.nn.embeddings import timestep_embedding
-from kinema.types import TextFeatures, frame_mask
+from kinema.types import Latents, TextFeatures, frame_mask
 
 FILES = {"linear": "denoiser", "softmax": "denoiser_softmax"}
 
@@ -80,8 +81,8 @@ def test_loss(golden_file, attention):
     condition = model.denoiser.read_tokens(golden["in.clip_token_features"], golden["in.clip_tokens"].argmax(1))
     predicted = model.denoiser(x_t, time, condition, None, visible(golden, attention))
     close_but_for_rounding(predicted, golden["out.loss_pred"], attention, 2e-5)
-    errors = (predicted - noise).square().mean(dim=2)
-    close(averaged(errors, frame_mask(golden["in.lengths"], 18), "frame").mean(), golden["out.loss"], 1e-5)
+    errors = (predicted - noise).square()
+    close(per_frame(errors, frame_mask(golden["in.lengths"], 18)).mean(), golden["out.loss"], 1e-5)
 
 
 def test_the_step_s_loss_is_that_average(golden_file):
@@ -90,11 +91,15 @@ def test_the_step_s_loss_is_that_average(golden_file):
     model, lengths = load_model(golden), golden["in.lengths"]
     tokens = golden["in.clip_token_features"]
     text = TextFeatures([""] * 3, tokens[:, 0], tokens)
-    drawn = FrameDraws(torch.zeros(3, dtype=torch.bool), golden["in.t"], golden["in.noise"])
+    drawn, real = (
+        FrameDraws(torch.zeros(3, dtype=torch.bool), golden["in.t"], golden["in.noise"]),
+        frame_mask(lengths, 18),
+    )
     condition = model.denoiser.read_tokens(tokens, torch.full((3,), 76))
-    predicted = model.denoiser(golden["out.loss_x_t"], golden["in.t"], condition, None, frame_mask(lengths, 18))
-    expected = (predicted - golden["in.noise"]).square()[frame_mask(lengths, 18)].mean()
-    close(model.errors(golden["in.x0"], lengths, text, drawn)[frame_mask(lengths, 18)].mean(), expected, 1e-5)
+    predicted = model.denoiser(golden["out.loss_x_t"], golden["in.t"], condition, None, real)
+    expected = (predicted - golden["in.noise"]).square()[real].mean()
+    latents = Latents(lengths, lengths, values=golden["in.x0"])
+    close(model.loss(latents, text, draws=drawn)["loss"], expected, 1e-5)
 
 
 @pytest.mark.parametrize(("steps", "name"), [(None, "1000"), (10, "respaced10")])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,24 +12,28 @@ from torch.nn import functional as F
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.diffusion.guidance import Predict, guided
+from kinema.diffusion.noise import sequence_noise
 from kinema.generators import Generator
 from kinema.generators.draws import share_of
 from kinema.generators.frames.denoiser import Denoiser
-from kinema.generators.frames.sampling import FrameSampling, Kept, seeded_noise
-from kinema.generators.frames.training import AVERAGES, FrameDraws, averaged, without_text
+from kinema.generators.frames.sampling import FrameSampling, Kept
+from kinema.generators.frames.training import FrameDraws, without_text
 from kinema.generators.lengths import requested_lengths
 from kinema.generators.values import check_latents
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures, frame_mask
 
+Average = Callable[[Float[Tensor, "b n c"], Bool[Tensor, "b n"]], Float[Tensor, " m"]]
+"""Turn the errors of features, and the mask of real frames, into rows whose mean is the loss."""
+
 
 class FrameDiffusion(Generator):
     """Diffuse frames of motion, `frame_dim` features each.
 
     `mask_frames` hides padding from the frames; without it a motion is the start of one of `max_frames`, in training
-    and in sampling. `average` is of the loss: over each sample's frames and then samples, or over all frames alike.
-    `condition_drop` is the share of texts that training drops; 0 leaves no empty text to be guided from.
+    and in sampling. `average` makes the rows of the loss: `per_sequence` or `per_frame`. `condition_drop` is the share
+    of texts that training drops; 0 leaves no empty text to be guided from.
     """
 
     def __init__(
@@ -41,12 +45,10 @@ class FrameDiffusion(Generator):
         max_frames: int,
         condition_drop: float,
         mask_frames: bool,
-        average: str,
+        average: Average,
         sampling: FrameSampling,
     ) -> None:
         super().__init__()
-        if average not in AVERAGES:
-            raise ValueError(f"average {average!r} is unknown; choose one of {', '.join(AVERAGES)}")
         self.space = LatentSpace("frames", frame_dim, max_frames, unit=1)
         self.denoiser, self.process, self.sampling = denoiser, process, sampling
         self.condition_drop, self.mask_frames, self.average = condition_drop, mask_frames, average
@@ -81,24 +83,19 @@ class FrameDiffusion(Generator):
         if not self.mask_frames:
             x1 = F.pad(x1, (0, 0, 0, self.space.most - x1.shape[1]))
         draws = draws or self._draw(x1, generator, shard)
-        rows = averaged(
-            self.errors(x1, latents.lengths, text, draws), frame_mask(latents.lengths, x1.shape[1]), self.average
-        )
+        real = frame_mask(latents.lengths, x1.shape[1])
+        rows = self.average(self.errors(x1, text, draws, real), real)
         return {"loss": mean_over_ranks(rows, shard[1])}
 
     def errors(
-        self, x1: Float[Tensor, "b n c"], lengths: Int[Tensor, " b"], text: TextFeatures, draws: FrameDraws
-    ) -> Float[Tensor, "b n"]:
-        """Return every frame's squared error, averaged over its features; to the process a frame is a row."""
-        shape = x1.shape[:2]
+        self, x1: Float[Tensor, "b n c"], text: TextFeatures, draws: FrameDraws, real: Bool[Tensor, "b n"]
+    ) -> Float[Tensor, "b n c"]:
+        """Return the squared error of every feature of every frame."""
         condition, seen = self.denoiser.read(without_text(text, draws.condition_drop))
-        real = frame_mask(lengths, shape[1]) if self.mask_frames else None
-
-        def predict(x: Tensor, time: Tensor) -> Tensor:
-            return self.denoiser(x.unflatten(0, shape), draws.time, condition, seen, real).flatten(0, 1)
-
-        times = draws.time.repeat_interleave(shape[1])
-        return self.process.loss(predict, x1.flatten(0, 1), times, draws.noise.flatten(0, 1)).unflatten(0, shape)
+        shown = real if self.mask_frames else None
+        return self.process.errors(
+            lambda x, time: self.denoiser(x, time, condition, seen, shown), x1, draws.time, draws.noise
+        )
 
     def sample(
         self,
@@ -121,32 +118,33 @@ class FrameDiffusion(Generator):
         longest = int(lengths.max())
         real = frame_mask(lengths, longest if self.mask_frames else self.space.most)
         shown = real if self.mask_frames else None
-        drawn = real if self.mask_frames else torch.ones_like(real)
+        drawn = real.sum(dim=1) if self.mask_frames else torch.full_like(lengths, self.space.most)
         kept = None if known is None else Kept.of(known, lengths, real, self.space.width)
         with inference(self):
-            predict = self._predictor(text.to(device), shown, sampling.guidance)
             values = self.process.sample(
-                predict if kept is None else kept.imputed(predict, self.process),
-                noise or seeded_noise(seeds, drawn, self.space.width),
+                self._predictor(text.to(device), shown, sampling),
+                noise or sequence_noise(seeds, drawn, self.space.width, device),
                 solver=sampling.solver,
                 steps=sampling.solver_steps,
                 temperature=sampling.temperature,
+                known=None if kept is None else (kept.values, kept.mask),
             )
         values = values if kept is None else kept.impose(values)
         values = values.masked_fill(~real[..., None], 0.0)
         return Latents(lengths=lengths, frames=lengths, values=values[:, :longest])
 
-    def _predictor(self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, guidance: float) -> Predict:
+    def _predictor(self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: FrameSampling) -> Predict:
         """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
         condition, seen = self.denoiser.read(text)
-        empty = None if guidance == 1 else self.denoiser.read(without_text(text))[0]
+        empty = None if sampling.guidance == 1 else self.denoiser.read(without_text(text))[0]
+        scale = 1.0 if empty is None else sampling.weights().along(self.process.progress)
 
         def denoise(x: Tensor, time: Tensor, condition: Tensor) -> Tensor:
             copies = len(condition) // len(text.pooled)
             masks = (None if mask is None else mask.repeat(copies, 1) for mask in (seen, shown))
             return self.denoiser(x, time, condition, *masks)
 
-        return guided(denoise, condition, empty, guidance)
+        return guided(denoise, condition, empty, scale)
 
     def _draw(
         self, x1: Float[Tensor, "b n c"], generator: torch.Generator | None, shard: tuple[int, int]

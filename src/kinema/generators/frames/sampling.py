@@ -1,8 +1,7 @@
-"""Hold the options of sampling by diffusion on frames, the noise that a seed draws, and what an edit holds fixed."""
+"""Hold the options of sampling by diffusion on frames, and what an edit keeps."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -10,10 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from kinema.decoding.unmasking import SampleDraws
-from kinema.diffusion.ddpm import DDPM
-from kinema.diffusion.flow import Flow
-from kinema.diffusion.guidance import Predict
+from kinema.diffusion.guidance import Guidance
 from kinema.generators.values import check_known
 from kinema.types import Known
 
@@ -22,22 +18,25 @@ from kinema.types import Known
 class FrameSampling:
     """Choose how frames are sampled.
 
-    `guidance` extrapolates from no text (0) over the text (1). `solver` and `solver_steps` choose how the diffusion
-    process samples (None: its defaults), `temperature` scales the noise of its steps.
+    `guidance` extrapolates from no text (0) over the text (1): inside `guidance_interval`, shares of the way from noise
+    (0) to data (1), and with `guidance_growing` rising to it from 1. `solver` and `solver_steps` choose how the
+    diffusion process samples (None: its defaults), `temperature` scales the noise of its steps.
     """
 
     guidance: float = 1.0
+    guidance_interval: tuple[float, float] = (0.0, 1.0)
+    guidance_growing: bool = False
     solver: str | None = None
     solver_steps: int | str | None = None
     temperature: float = 1.0
 
+    def __post_init__(self) -> None:
+        self.weights()  # refuses a wrong interval
 
-def seeded_noise(seeds: Int[Tensor, " b"], drawn: Bool[Tensor, "b n"], width: int) -> Iterator[Float[Tensor, "b n c"]]:
-    """Yield normal noise at the frames that are `drawn`, zeros elsewhere: each sample's from its own seed."""
-    for rows in SampleDraws(seeds, drawn.sum(dim=1), width, drawn.device).noise(0, drawn):
-        noise = rows.new_zeros(*drawn.shape, width)
-        noise[drawn] = rows
-        yield noise
+    def weights(self) -> Guidance:
+        """Return the guidance along the way from noise to data."""
+        start, end = self.guidance_interval
+        return Guidance(self.guidance, (start, end), self.guidance_growing)
 
 
 @dataclass(frozen=True)
@@ -61,14 +60,6 @@ class Kept:
     def impose(self, x: Float[Tensor, "b n c"]) -> Float[Tensor, "b n c"]:
         """Put the kept features in their places."""
         return torch.where(self.mask, self.values.to(x.dtype), x)
-
-    def imputed(self, predict: Predict, process: DDPM | Flow) -> Predict:
-        """Let every (guided) estimate of the clean frames have the kept features in their places (MDM §5)."""
-
-        def fixed(x: Tensor, time: Tensor) -> Tensor:
-            return torch.where(self.mask, process.output_for(self.values.to(x.dtype), x, time), predict(x, time))
-
-        return fixed
 
 
 def _sized(x: Tensor, size: int) -> Tensor:

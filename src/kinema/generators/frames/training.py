@@ -1,4 +1,4 @@
-"""Hold what a training step of diffusion on frames draws, and average over frames that are no padding."""
+"""Hold what a training step of diffusion on frames draws, and take texts away."""
 
 from __future__ import annotations
 
@@ -47,13 +47,3 @@ def without_text(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> 
         drop = torch.ones_like(text.pooled[:, 0], dtype=torch.bool)
     tokens = None if text.tokens is None else text.tokens.masked_fill(drop[:, None, None], 0.0)
     return replace(text, pooled=text.pooled.masked_fill(drop[:, None], 0.0), tokens=tokens)
-
-
-AVERAGES = ("sample", "frame")
-
-
-def averaged(errors: Float[Tensor, "b n"], real: Bool[Tensor, "b n"], over: str) -> Float[Tensor, " m"]:
-    """Return the rows whose mean is the loss: each sample's mean over its real frames, or every real frame."""
-    if over == "frame":
-        return errors[real]
-    return errors.masked_fill(~real, 0.0).sum(dim=1) / real.sum(dim=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from kinema.diffusion.ddpm import DDPM
+from kinema.diffusion.errors import per_sequence
 from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
@@ -52,6 +53,6 @@ class MDM(FrameDiffusion):
             max_frames=max_frames,
             condition_drop=condition_drop,
             mask_frames=mask_frames,
-            average="sample",
+            average=per_sequence,
             sampling=sampling or FrameSampling(guidance=2.5),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from kinema.diffusion.ddpm import DDPM
+from kinema.diffusion.errors import per_frame
 from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
@@ -57,6 +58,6 @@ class MotionDiffuse(FrameDiffusion):
             max_frames=max_frames,
             condition_drop=condition_drop,
             mask_frames=True,
-            average="frame",
+            average=per_frame,
             sampling=sampling or FrameSampling(),
         )
