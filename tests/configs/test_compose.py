@@ -367,7 +367,7 @@ MOTIONDIFFUSE = {
     "representation.variant": "published",
     "tokenizer.train": None,
     **under("generator.model", width=512, feedforward=1024, layers=8, heads=8, dropout=0.0, attention="linear"),
-    **under("generator.model", text_width=256, text_feedforward=2048, text_layers=4, text_heads=4),
+    **under("generator.model", text_width=256, text_feedforward=2048, text_layers=4, text_heads=4, condition_drop=0.0),
     **under("generator.model.process", steps=1000, schedule="linear"),
     **under("generator.train", batch_size=1024, epochs=50 * 200, lr=2e-4, weight_decay=0.0, clip=0.5, ema=None),
     **under("generator.sampling", guidance=1.0, solver="ancestral", solver_steps=None),
