@@ -71,6 +71,24 @@ def test_a_method_of_tokens_trains_generates_and_edits(page):
     rows(own)
 
 
+def test_a_method_on_frames_trains_generates_and_edits_to_the_frame(page, tmp_path):
+    own = [o for o in page if not o.startswith("tokenizer.train")] + ["method=regression"]
+    run = run_stage(compose(own), "generator")
+    model = TextToMotion.from_run(run.path, device="cpu")
+    assert not any(True for _ in model.tokenizer.parameters())
+    motions = model.generate(["a person walks", "a man jumps"], [41, 60], seed=1)
+    (alone,) = model.generate("a man jumps", 60, seed=motions[1].seed)
+    np.testing.assert_allclose(alone.features, motions[1].features, rtol=1e-3, atol=1e-3)
+    (edited,) = model.edit(motions[0], "someone waves", [(7, 22)], seed=2)
+    assert np.array_equal(edited.features[22:], motions[0].features[22:])
+    assert (edited.features[7:22] != motions[0].features[7:22]).any(axis=1).all()
+    model.save(tmp_path / "portable")
+    again = TextToMotion.from_run(tmp_path / "portable", device="cpu")
+    assert np.array_equal(again.generate("a man jumps", 60, seed=3)[0].features,
+                          model.generate("a man jumps", 60, seed=3)[0].features)  # fmt: skip
+    rows(own)
+
+
 def test_a_stage_that_builds_something_is_made_once_found_again_and_attached(page, tmp_path):
     own = [*page, "method=informed"]
     run = run_stage(compose(own), "generator")

@@ -140,6 +140,7 @@ def composes_for_some_method(override):
     return False
 
 
+RUN = "mardm_sit-xl-essential-synthetic-smoke-s0-0"
 TOKENIZER = {
     "_target_": "kinema.tokenizers.autoencoder.AutoEncoder",
     "representation": {
@@ -169,12 +170,15 @@ GENERATOR = {
 def checkout(tmp_path, monkeypatch):
     """Stand in a folder that has the runs which `make reproduce-table5` leaves, with tiny random weights."""
     torch.manual_seed(0)
-    for stage, name, spec in (("tokenizer", "ae", TOKENIZER), ("generator", "mardm_sit-essential-s0-0", GENERATOR)):
+    for stage, name, spec in (
+        ("tokenizer", "ae", TOKENIZER),
+        ("generator", "mardm_sit-xl-essential-synthetic-smoke-s0-0", GENERATOR),
+    ):
         module = build(spec)
         if stage == "tokenizer":
             module.representation.fit(Statistics(np.zeros(67), np.full(67, 0.05)))
         weights.save(module, spec, tmp_path / "runs" / stage / name / "weights.safetensors", part=stage)
-    folder = tmp_path / "runs" / "generator" / "mardm_sit-essential-s0-0"
+    folder = tmp_path / "runs" / "generator" / RUN
     RunFolder(folder).mark("done")
     write_json(folder / "upstream.json", {"tokenizer": "../../tokenizer/ae"})
     write_json(folder / "text.json", {"encoder": "hashed", "path": None})

@@ -56,6 +56,13 @@ class MotionBatch(_Movable):
         return frame_mask(self.lengths, self.features.shape[1])
 
     @property
+    def crops(self) -> list[tuple[int, int, int]]:
+        """Entry, first frame and length of every crop; raises ValueError for a batch that isn't cut from a corpus."""
+        if self.entries is None or self.starts is None:
+            raise ValueError("this batch names no crops of a corpus (entries and starts)")
+        return list(zip(self.entries.tolist(), self.starts.tolist(), self.lengths.tolist(), strict=True))
+
+    @property
     def texts(self) -> list[str]:
         """The caption strings."""
         return [c.text for c in self.captions]
@@ -114,6 +121,13 @@ class LatentSpace:
     unit: int | None = 4
     codebook_size: int | None = None
     quantizers: int = 1
+
+    @property
+    def classes(self) -> int:
+        """The number of codes; raises ValueError where latents are no codes."""
+        if self.codebook_size is None:
+            raise ValueError(f"latents of kind {self.kind!r} are no codes; choose a tokenizer of codes")
+        return self.codebook_size
 
     def latents_of(self, frames: Count) -> Count:
         """Count the whole latents in `frames`."""

@@ -44,10 +44,9 @@ class Workshop:
 
     def _tokenizer(self, *overrides: str) -> torch.nn.Module:
         model = self.make("tokenizer", *overrides)
-        if self.cfg(*overrides).tokenizer.train is None:
-            return model.eval()
-        model.train()
-        model.loss(self.windows(), generator=torch.Generator().manual_seed(0))
+        if self.cfg(*overrides).tokenizer.train is not None:
+            model.train()
+            model.loss(self.windows(), generator=torch.Generator().manual_seed(0))
         return model.eval()
 
     def make(self, stage: str, *overrides: str) -> torch.nn.Module:

@@ -11,6 +11,7 @@ from kinema.tokenizers import MotionTokenizer
 from kinema.types import MotionBatch
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))
+TRAINED = [name for name in TOKENIZERS if name != "frames"]  # which has nothing to train, and no parameter
 DIMS = ("essential", "redundant", "published")
 
 
@@ -21,15 +22,10 @@ def parts(workshop, name: str, dims: str = "published"):
 
 
 @pytest.mark.parametrize("dims", DIMS)
-@pytest.mark.parametrize("name", TOKENIZERS)
+@pytest.mark.parametrize("name", TRAINED)
 def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(workshop, name, dims):
     parts(workshop, name, dims)
-    choice = (f"tokenizer={name}", f"representation={dims}")
-    model = workshop.make("tokenizer", *choice).train()
-    if workshop.cfg(*choice).tokenizer.train is None:
-        with pytest.raises(ValueError, match=r"no tokenizer to train; set tokenizer\.train=null"):
-            model.loss(workshop.windows())
-        return
+    model = workshop.make("tokenizer", f"tokenizer={name}", f"representation={dims}").train()
     losses = model.loss(workshop.windows(), generator=torch.Generator().manual_seed(0))
     assert next(iter(losses)) == "loss"
     assert all(value.isfinite() for value in losses.values())

@@ -10,13 +10,13 @@ import torch
 
 from kinema.evaluation.metrics import FrechetDistance, Retrieval
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication
-from kinema.evaluation.sources import RealMotion, ShuffledCaptions, answer
+from kinema.evaluation.sources import RealMotion, ShuffledCaptions, Source, answer
 from kinema.seeds import protocol_seeds
 
 SMALL = EvaluationProtocol(pool=8, mm_texts=12, mm_repeats=5, mm_pairs=2, diversity_pairs=20)
 
 
-class Noisy:
+class Noisy(Source):
     """Answer with the real motion plus noise by seed; counts its calls."""
 
     label, multimodal, reconstructs = "noisy", True, True

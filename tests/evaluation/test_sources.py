@@ -65,10 +65,17 @@ class Echo(Generator):
         return Latents(frames // 4, frames, values)
 
 
-def letters(texts):
+class Letters:
     """Count letters: equal texts are nearest to each other."""
-    counts = [[t.count(c) + 1e-3 for c in "abcdefghijklmnopqrstuvwxyz"] for t in texts]
-    return TextFeatures(texts, torch.tensor(counts))
+
+    identity, dim, token_dim = "letters", 26, 0
+
+    def __call__(self, texts):
+        counts = [[t.count(c) + 1e-3 for c in "abcdefghijklmnopqrstuvwxyz"] for t in texts]
+        return TextFeatures(texts, torch.tensor(counts))
+
+
+letters = Letters()
 
 
 def model(generator=None, **parts):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from kinema.experiments import identity
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import describe
-from kinema.experiments.identity import fingerprint, stage_identity
+from kinema.experiments.identity import fingerprint, run_identity, stage_identity
+from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import get_stage, stages
 
 
@@ -124,3 +127,50 @@ def test_evaluations_have_an_identity_too(micro):
         assert row(override) == plain, override
     # Real motion is the same whoever generates beside it.
     assert row("source=real", "method=mardm_ddpm") == row("source=real")
+
+
+def folder(stage: str, *overrides: str) -> Path:
+    return stage_folder(compose(list(overrides)), get_stage(stage), "corpus").path
+
+
+@pytest.mark.parametrize(
+    ("stage", "overrides", "label"),
+    [
+        ("generator", [], "mardm_sit-xl-essential-synthetic-smoke-s0-"),
+        ("generator", ["generator=mar_s", "method=mardm_ddpm"], "mardm_ddpm-s-essential-synthetic-smoke-s0-"),
+        ("generator", ["method=bad_cbs", "generator=bad_notime"], "bad-notime-published-synthetic-smoke-s0-"),
+        ("generator", ["method=momask", "representation=redundant"], "momask-redundant-synthetic-smoke-s0-"),
+        ("generator", ["scale=tiny", "seed=3", "data=synthetic_kit"], "mardm_sit-xl-essential-synthetic_kit-tiny-s3-"),
+        ("tokenizer", ["debug=steps"], "ae-essential-synthetic-smoke-debug-s0-"),
+        ("residual", ["method=momask"], "momask_residual-published-synthetic-smoke-s0-"),
+        ("matching", ["evaluator=redundant"], "evaluator_redundant-published-synthetic-smoke-s0-"),
+        ("length", [], "length-synthetic-smoke-s0-"),
+    ],
+)
+def test_a_name_says_what_a_run_is(stage, overrides, label):
+    assert folder(stage, *overrides).name.startswith(label)
+
+
+def test_an_evaluation_says_whose_it_is(micro):
+    name = describe(compose([*micro, "method=mardm_ddpm", "generator=mar_s"], "evaluate")).folder.path.name
+    assert name.startswith("generation-mardm_ddpm-s-essential-synthetic-smoke-s0-")
+    real = describe(compose([*micro, "source=real"], "evaluate")).folder.path.name
+    assert real.startswith("real-synthetic-smoke-s0-")
+
+
+def test_the_fingerprint_finds_a_run_whatever_it_is_called(tmp_path):
+    """A scale of a user's own shares what it doesn't change, for instance the evaluators."""
+    here = f"paths.runs={tmp_path}"
+    made = folder("matching", here)
+    made.mkdir(parents=True)
+    assert folder("matching", here, "scale.name=mine") == made
+    assert folder("matching", here, "scale.name=mine", "evaluator.matching.train.lr=1") != made
+    assert run_identity(made) == run_identity(made.with_name(made.name.replace("smoke", "mine")))
+
+
+def test_runs_lie_below_the_directory_of_the_command(monkeypatch, tmp_path):
+    monkeypatch.delenv("KINEMA_RUNS", raising=False)
+    monkeypatch.chdir(tmp_path)
+    assert folder("length").absolute().parent == tmp_path / "runs" / "length"
+    monkeypatch.setenv("KINEMA_RUNS", str(tmp_path / "elsewhere"))
+    assert folder("length").parent == tmp_path / "elsewhere" / "length"

@@ -72,24 +72,32 @@ def clip_of(corpus: Path, split: str = "train") -> Path:
         (["+trainer.deterministic=true"], ["error: trainer.deterministic is no option; trainer has accelerator"]),
         (["metod=mmm"], ["error: metod is no option; the configuration has callbacks, data"]),
         (["generator.train.lr"], ["error: ", "missing EQUAL"]),
-        (["+generator.train.stepz=3"], ["error: train config", "stepz", "Recipe"]),
+        (["+generator.train.stepz=3"], ["error: generator.train.stepz is no option; a recipe has batch_size", "steps"]),
+        (["+tokenizer.train.stepz=3"], ["error: tokenizer.train.stepz is no option"]),
+        (["+length.model.widht=3"], ["widht", "its arguments are"]),
+        (["+generator.sampling.guidence=3"], ["guidence", "its arguments are", "guidance"]),
+        (["tokenizer.train.data=clip"], ["error: tokenizer.train.data='clip'; allowed: windows, clips"]),
         (["stage=generater"], ["stage='generater' is unknown; allowed: contrastive, decomposition"]),
         (["seed=-1"], ["seed=-1; it must be an integer of at least 0"]),
         (["data=custom"], ["error: config: Missing mandatory value", "set data.source"]),
         (["trainer.progress=loud"], ["trainer.progress='loud'; allowed: rich, tqdm, none"]),
         (["trainer.accelerator=tpux"], ["trainer.accelerator='tpux'; allowed: auto, gpu, cuda, mps, cpu"]),
         (["logger.names=[tensorbord]"], ["logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"]),
-        (["stage=tokenizer", "tokenizer.train.steps=many"], ["train.steps='many'", "number"]),
+        (["stage=tokenizer", "tokenizer.train.steps=many"], ["error: tokenizer.train.steps='many'", "number"]),
         (["stage=tokenizer", "tokenizer.train.steps=0"], ["train.steps=0; it must be at least 1"]),
-        (["stage=tokenizer", "tokenizer.train.batch_size=1000000"], ["batch_size 1000000"]),
         (["stage=tokenizer", "+tokenizer.model.widht=3"], ["widht", "its arguments are", "width"]),
-        (["text=clip_b32", "text.path=/nowhere/clip"], ["/nowhere/clip"]),
     ],
 )
-def test_a_wrong_configuration_is_named(refused, arguments, words):
+def test_a_wrong_configuration_is_named_before_there_is_a_run(refused, arguments, words, tmp_path):
     message = refused("train.py", "stage=generator", *arguments)
     for word in words:
         assert word in message, message
+    assert not list((tmp_path / "runs").glob("*/*"))
+
+
+def test_what_does_not_fit_the_machine_or_the_corpus_is_named(refused):
+    assert "/nowhere/clip" in refused("train.py", "text=clip_b32", "text.path=/nowhere/clip")
+    assert "batch_size 1000000" in refused("train.py", "stage=tokenizer", "tokenizer.train.batch_size=1000000")
 
 
 def test_wrong_evaluations_are_named(refused, tmp_path):
@@ -98,6 +106,20 @@ def test_wrong_evaluations_are_named(refused, tmp_path):
     message = refused("evaluate.py", "source=real", "ensure=false")
     assert "train it with `kinema train stage=contrastive data=synthetic" in message
     assert not (tmp_path / "runs" / "contrastive").exists()
+
+
+@pytest.mark.parametrize("source", ["generation", "reconstruction"])
+def test_a_judge_that_reads_more_than_a_method_makes_is_refused(refused, tmp_path, source):
+    message = refused("evaluate.py", f"source={source}", "evaluator=redundant")
+    assert "error: evaluator=redundant reads redundant dims, method=mardm_sit makes essential ones alone" in message
+    assert "choose representation=redundant, or evaluator=essential" in message
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_judge_is_checked_before_another_is_trained(refused, tmp_path):
+    message = refused("evaluate.py", "source=real", "+evaluator.contrastive.train.stepz=1")
+    assert "error: evaluator.contrastive.train.stepz is no option" in message
+    assert not (tmp_path / "runs").exists()
 
 
 def no_split(corpus: Path) -> None:

@@ -120,7 +120,7 @@ def test_redundant_motion_is_judged_on_essential_dims(brief):
     assert load(row.runs["matching"] / "weights.safetensors")[0].representation.width == 67
     tokenizer = run_stage(compose(redundant), "tokenizer")
     assert load(tokenizer.weights)[0].representation.width == 263
-    assert row.folder.path.name.startswith("generation-mardm_sit-redundant-s0-")
+    assert row.folder.path.name.startswith("generation-mardm_sit-xl-redundant-synthetic-smoke-s0-")
     identity = row.lines[0]["provenance"]["statistics"]["evaluator"]
     assert identity["kind"] == "essential"
 

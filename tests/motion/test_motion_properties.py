@@ -13,9 +13,9 @@ from kinema.motion.features import canonicalise, extract
 from kinema.motion.kinematics import bone_lengths, bone_vectors, uniform_skeleton
 from kinema.motion.mirror import mirror_joints
 from kinema.motion.recovery import recover_joints
-from kinema.motion.representation import KINDS, VARIANTS, Representation
+from kinema.motion.representation import VARIANTS, Representation
 from kinema.motion.rotation import matrix_from_sixd, rotate_yaw, shortest_arc, sixd_from_matrix, unit
-from kinema.motion.skeleton import SKELETONS
+from kinema.motion.skeleton import DIMS, SKELETONS
 from kinema.motion.statistics import Statistics
 
 BOTH = st.sampled_from(sorted(SKELETONS.values(), key=lambda s: s.name))
@@ -76,7 +76,7 @@ def test_bones_get_the_lengths_asked_for_and_keep_their_directions(wander, skele
     np.testing.assert_allclose(unit(bone_vectors(changed, skeleton)), unit(bone_vectors(joints, skeleton)), atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", DIMS)
 @given(
     skeleton=BOTH, variant=st.sampled_from(VARIANTS), lengths=st.tuples(st.integers(1, 5), st.just(5)), data=st.data()
 )

@@ -8,6 +8,7 @@ import torch
 
 from kinema.devices import find_device
 from kinema.motion.recovery import recover_joints
+from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.text_to_motion import TextToMotion
 from kinema.seeds import request_seeds
 
@@ -80,7 +81,6 @@ def test_lengths_in_seconds_or_from_the_text(model):
         ({"frames": 0}, "length 0 is out of range; allowed: 1 to 196 frames"),
         ({"frames": 197}, r"length 197 is out of range; allowed: 1 to 196 frames \(9.8 seconds at 20"),
         ({"frames": None, "seconds": 60.0}, "length 1200"),
-        ({"frames": 40.5}, "frames=40.5 is no whole number"),
         ({"frames": 40, "seconds": 2.0}, "give one of them"),
         ({"frames": [40, 40]}, "2 lengths for 1 texts"),
         ({"guidence": 3}, "unknown sampling field 'guidence'; allowed: steps, guidance"),
@@ -92,6 +92,11 @@ def test_lengths_in_seconds_or_from_the_text(model):
 def test_bad_requests_are_named(model, arguments, message):
     with pytest.raises(ValueError, match=message):
         model.generate(**{"texts": "a person walks", "frames": 20, **arguments})
+
+
+def test_a_part_of_a_frame_is_refused():
+    with pytest.raises(ValueError, match=r"frames=40\.5 is no whole number"):
+        frame_counts(40.5, None, 1, fps=20, maximum=196)
 
 
 def test_no_length_and_nothing_to_estimate_it(model):

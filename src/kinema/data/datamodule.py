@@ -48,7 +48,7 @@ class MotionDataModule(L.LightningDataModule):
         val_batch_size: int | None = None,
         val_limit: int | None = None,
         legacy_windows: bool = False,
-        dims: Literal["essential", "redundant"] = "redundant",
+        dims: str = "redundant",
         start_method: Literal["fork", "spawn", "forkserver"] | None = None,
     ) -> None:
         super().__init__()

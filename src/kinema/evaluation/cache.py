@@ -58,7 +58,7 @@ class Shelf:
         if self.path is None or not self.computed:
             return
         with replacing(self.path) as temporary, temporary.open("wb") as file:
-            np.savez(file, **self._known)
+            np.savez(file, allow_pickle=False, **self._known)
         self.computed = 0
 
 
@@ -66,7 +66,7 @@ def motion_key(batch: MotionBatch) -> str:
     """Name a batch of motions by its content."""
     digest = hashlib.sha256(repr(tuple(batch.features.shape)).encode())
     for tensor in (batch.features, batch.lengths):
-        digest.update(tensor.detach().cpu().contiguous().numpy())
+        digest.update(tensor.detach().cpu().contiguous().numpy().data)
     return f"motion-{digest.hexdigest()[:24]}"
 
 

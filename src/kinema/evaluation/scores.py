@@ -96,7 +96,7 @@ class Scores:
         """Return every metric by its key; `n` counts the rows."""
         out: dict[str, Tensor | float] = {"n": self.count}
         out |= self.retrieval.compute()
-        if self.count > 1:
+        if self.count > 1 and self.fid is not None:
             out |= {"fid": self.fid.compute(), "diversity": self.diversity.compute()}
         optional = {"multimodality": self.multimodality, "clip_score": self.clip_score}
         out |= {name: metric.compute() for name, metric in optional.items() if metric.update_called}

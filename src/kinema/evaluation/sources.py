@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,13 +18,12 @@ from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import kept_frames, paste, task_slots
 from kinema.pipeline.kept import encode_kept
+from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Caption, Latents, MotionBatch, TextFeatures, frame_mask
 
 UNIT = 4
 """Frames that the lengths of crops are multiples of, as `ClipDataset` cuts them (MARDM §2)."""
-
-TextEncoder = Callable[[list[str]], TextFeatures]
 
 
 class Source(ABC):
@@ -38,7 +37,7 @@ class Source(ABC):
     label: str
     multimodal: bool = False
     reconstructs: bool = False
-    text_encoder: TextEncoder | None = None
+    text_encoder: FrozenTextEncoder | None = None
     dims: str = "essential"
 
     @abstractmethod
@@ -90,7 +89,7 @@ class Reconstruction(Source):
         self.dims = tokenizer.representation.kind
         self.usage = None
         if space.kind == "codes":
-            self.usage = CodeUsage(space.codebook_size, space.quantizers, sync_on_compute=False)
+            self.usage = CodeUsage(space.classes, space.quantizers, sync_on_compute=False)
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Encode and decode the batch."""
@@ -175,10 +174,17 @@ class NearestTrainingCaption(Source):
     the prompt's motion, or as the clip (in multiples of `unit`, as crops are) if that is shorter.
     """
 
+    text_encoder: FrozenTextEncoder
+
     label = "nearest training caption"
 
     def __init__(
-        self, store: TrainingClips, entries: Sequence[int] | np.ndarray, text_encoder: TextEncoder, *, unit: int = UNIT
+        self,
+        store: TrainingClips,
+        entries: Sequence[int] | np.ndarray,
+        text_encoder: FrozenTextEncoder,
+        *,
+        unit: int = UNIT,
     ) -> None:
         self.store, self.text_encoder, self.unit = store, text_encoder, unit
         known = [(caption.text, int(entry)) for entry in entries for caption in store.entry_captions(int(entry))]
@@ -212,6 +218,8 @@ class Generated(Source):
     generator that ends its sequences itself (T2M-GPT, AttT2M, BAMM, MotionGPT), else to the length estimator.
     """
 
+    text_encoder: FrozenTextEncoder
+
     multimodal = True
 
     def __init__(
@@ -239,6 +247,8 @@ class Edited(Source):
     reconstruction; with it they are the real ones.
     """
 
+    text_encoder: FrozenTextEncoder
+
     def __init__(
         self, model: TextToMotion, *, task: str, paste: bool = False, sampling: Any = None, label: str = "edited"
     ) -> None:
@@ -260,7 +270,7 @@ class Edited(Source):
         return answer(batch, made.features, made.lengths)
 
 
-def encode_captions(encoder: TextEncoder, batch: MotionBatch) -> TextFeatures:
+def encode_captions(encoder: FrozenTextEncoder, batch: MotionBatch) -> TextFeatures:
     """Encode a batch's captions; the clips' names go along."""
     text = encoder(batch.texts).to(batch.features.device)
     text.clip_ids = list(batch.clip_ids)

@@ -104,7 +104,7 @@ def validate(cfg: DictConfig) -> None:
 def check_options(cfg: DictConfig) -> None:
     """Refuse an option that nothing reads; those of models, recipes and sampling are their classes' to check."""
     for group, option in TYPICAL.items():
-        options = OmegaConf.load(CONF / group / f"{option}.yaml").keys() - {"defaults"}
+        options = {str(key) for key in OmegaConf.load(CONF / group / f"{option}.yaml")} - {"defaults"}
         for key in sorted(cfg[group].keys() - options):
             raise ValueError(f"{group}.{key} is no option; {group} has {', '.join(sorted(options))}")
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
@@ -47,7 +48,7 @@ def _run(config_name: str, task: Callable[[DictConfig], None], arguments: Sequen
         # Lightning starts the processes of further devices with what sys.argv was; Hydra read a part of it.
         sys.argv = given
         try:
-            refuse_processes(cfg, multirun=HydraConfig.get().mode.name == "MULTIRUN")
+            refuse_processes(cfg, multirun=HydraConfig.get().mode == RunMode.MULTIRUN)
             task(cfg)
         except (ValueError, OSError, ImportError) as error:
             if cfg.debug.enabled:

@@ -13,9 +13,9 @@ from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions
 from kinema.experiments.identity import fingerprint, run_identity
-from kinema.experiments.run import command, run_stage, stage_folder
+from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
-from kinema.experiments.stages.base import Stage, asked_for, given_run
+from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
@@ -58,7 +58,7 @@ def describe(cfg: DictConfig) -> Row:
     scored = [stage for stage in stages().values() if stage.scored(cfg)]
     companions = [other for stage in scored for other in companions_of(stage)]
     row = Row(
-        RunFolder(Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs) / "evaluation"),
+        RunFolder(Path()),
         judges={stage.name: found(stage) for stage in judges().values()},
         subject={stage.name: found(stage) for stage in scored},
         beside={stage.name: found(stage) if stage.beside(cfg) else None for stage in companions},
@@ -67,9 +67,9 @@ def describe(cfg: DictConfig) -> Row:
     identity = _identity(cfg, row, corpus)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     run = asked_for(cfg)
-    who = f"-{cfg.method.name if run is None else run.name}-{cfg.representation.kind}"
-    name = f"{what}{who if row.subject else ''}-s{cfg.seed}-{fingerprint(identity)}"
-    return replace(row, folder=RunFolder(row.folder.path / name))
+    who = [cfg.method.name, cfg.generator.get("variant"), dims(**cfg.representation)] if run is None else [run.name]
+    label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
+    return replace(row, folder=run_folder(cfg, "evaluation", label, fingerprint(identity)))
 
 
 def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
@@ -110,6 +110,7 @@ def run_evaluation(cfg: DictConfig) -> Row:
 
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
+    _check_judges(cfg, row)
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     wanted = [get_stage(name) for name in row.runs]
@@ -120,8 +121,18 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
                 f"source {cfg.source} needs the {stage.name} run {row.runs[stage.name]}, which isn't finished; train "
                 f"it with `{command(cfg, stage)}` or set ensure=true"
             )
-        stage.check(cfg, store)
+        check(cfg, stage, store)
     return found
+
+
+def _check_judges(cfg: DictConfig, row: Row) -> None:
+    """Check that the motion has the columns that the judges read."""
+    lacking = row.subject and cfg.representation.kind == "essential" and cfg.evaluator.representation != "essential"
+    if lacking and any(stage.given(cfg) is None for stage in judges().values()):
+        raise ValueError(
+            f"evaluator={cfg.evaluator.name} reads {cfg.evaluator.representation} dims, method={cfg.method.name} makes "
+            "essential ones alone; choose representation=redundant, or evaluator=essential"
+        )
 
 
 def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:

@@ -47,7 +47,7 @@ def run_identity(run: Path) -> str:
     """Identify a run: one of ours by its name, which ends in its fingerprint, an imported one by its weights."""
     weights = RunFolder(run).weights
     if (run / "config.yaml").exists() or not weights.exists():
-        return run.name
+        return run.name.rpartition("-")[2]
     digest = hashlib.sha256(weights.read_bytes())
     if (run / TEXT).exists():
         digest.update((run / TEXT).read_bytes())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import torch
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
@@ -20,7 +21,7 @@ def read_model(run: Path, part: str | None = None) -> Any:
     return model.requires_grad_(False)
 
 
-def text_encoder(cfg: DictConfig, device: str = "cpu") -> CachedTextEncoder:
+def text_encoder(cfg: DictConfig, device: torch.device | str = "cpu") -> CachedTextEncoder:
     """Return the method's frozen text encoder behind its on-disk cache."""
     return cached(cfg, build_text_encoder(cfg.text.name, path=cfg.text.path, device=device))
 

@@ -41,7 +41,7 @@ def missing_jobs(rows: Iterable[TableRow], shared: list[str]) -> list[Job]:
     """Return a job for each run and each scored row that is lacking, each run once; what most wait for comes first."""
     jobs: dict[Path, Job] = {}
     for row in rows:
-        if row.cfg is None or row.complete:
+        if row.cfg is None or row.place is None or row.complete:
             continue
         method = [f"method={row.spec['method']}"] if "method" in row.spec else []
         trained = [*shared, *method, *trained_by(row)]

@@ -10,17 +10,11 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Iterable
+from itertools import product
 from pathlib import Path
 
-from omegaconf import DictConfig
-
-from kinema.data.store import PackedStore
-from kinema.experiments.corpus import open_corpus
-from kinema.experiments.jobs import missing_jobs, processes, run_jobs
-from kinema.experiments.run import stage_folder
-from kinema.experiments.stages import get_stage, levels, needs_of
-from kinema.experiments.stages.base import Stage
-from kinema.experiments.tables import TableRow, load_table, plan, render_table, trained_by
+from kinema.experiments.jobs import EVALUATE, TRAIN, Job, missing_jobs, processes, run_jobs
+from kinema.experiments.tables import TableRow, load_table, plan, render_table
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
@@ -86,61 +80,37 @@ def run_multiruns(rows: list[TableRow], overrides: list[str]) -> None:
 
 def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
     """Return the multiruns that a table still needs, upstream first; none when everything is there."""
-    ours = [row for row in rows if row.cfg is not None and not row.complete]
-    groups: dict[tuple, tuple[list[str], list[str]]] = {}
-    for row in ours:
-        source, method = row.spec["source"], row.spec.get("method")
-        # Rows without a method are one multirun over sources, the others one over methods for each source.
-        key = (source if method else None, *row.spec.get("overrides", []))
-        sources, methods = groups.setdefault(key, ([], []))
-        if source not in sources:
-            sources.append(source)
-        if method and method not in methods:
-            methods.append(method)
-    scored = [("evaluate", _sweep("source", s, m, extra)) for (_, *extra), (s, m) in groups.items()]
-    return [*missing_stages(ours), *scored]
+    jobs = missing_jobs(rows, [])
+    depth: dict[Path, int] = {}
+    level: dict[str, int] = {}  # of a stage or source: all its jobs are one step
+    for job in jobs:
+        depth[job.makes] = 1 + max((depth[run] for run in job.reads), default=0)
+        what = job.overrides[0]
+        level[what] = max(level.get(what, 0), depth[job.makes])
+    steps = sorted(product(set(level.values()), (TRAIN, EVALUATE)), key=lambda step: step[0])
+    return [
+        (command, choices)
+        for number, command in steps
+        for choices in sweeps(job for job in jobs if (level[job.overrides[0]], job.command) == (number, command))
+    ]
 
 
-def missing_stages(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
-    """Return the multiruns of the runs that rows lack: each run once, and after those that it reads."""
-    jobs: dict[Path, tuple[str, str | None, tuple[str, ...]]] = {}
-    for row in rows:
-        for name in row.place.runs:
-            for run, stage in _unmade(row.cfg, get_stage(name)).items():
-                jobs.setdefault(
-                    run,
-                    (stage, row.spec.get("method"), tuple(trained_by(row))),
-                )
-    work = []
-    for level in levels():
-        methods: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-        for name, method, extra in jobs.values():
-            if get_stage(name) in level:
-                methods.setdefault((name, extra), []).extend([method] if method else [])
-        sweeps: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
-        for (name, extra), chosen in methods.items():
-            sweeps.setdefault((tuple(chosen), extra), []).append(name)
-        work += [("train", _sweep("stage", names, chosen, extra)) for (chosen, extra), names in sweeps.items()]
-    return work
-
-
-def _unmade(cfg: DictConfig, stage: Stage) -> dict[Path, str]:
-    """Find a stage's run, and those behind it, that aren't finished."""
-    if not stage.present(cfg) or stage.given(cfg) is not None:
-        return {}
-    run = stage_folder(cfg, stage, PackedStore.open(open_corpus(cfg)).hash)
-    if run.done:
-        return {}
-    found = {run.path: stage.name}
-    for needed in needs_of(stage):
-        found |= _unmade(cfg, needed)
+def sweeps(jobs: Iterable[Job]) -> list[list[str]]:
+    """Join jobs of one command: those that differ in their method, and then in their stage or source."""
+    methods: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    for job in jobs:
+        what, *rest = job.overrides
+        own = [o for o in rest if o.startswith("method=")]
+        extra = tuple(o for o in rest if o not in own)
+        methods.setdefault((what, extra), []).extend(o.split("=")[1] for o in own)
+    joined: dict[tuple[tuple[str, ...], tuple[str, ...]], list[str]] = {}
+    for (what, extra), names in methods.items():
+        joined.setdefault((tuple(names), extra), []).append(what)
+    found = []
+    for (chosen, extra), whats in joined.items():
+        key, values = whats[0].split("=")[0], [what.split("=")[1] for what in whats]
+        found.append([f"{key}={','.join(values)}", *([f"method={','.join(chosen)}"] if chosen else []), *extra])
     return found
-
-
-def _sweep(key: str, values: Iterable[str], methods: Iterable[str], extra: Iterable[str]) -> list[str]:
-    """Return the choices of one multirun: all the values for all the methods."""
-    choice = [f"method={','.join(methods)}"] if methods else []
-    return [f"{key}={','.join(values)}", *choice, *extra]
 
 
 def total_seconds(rows: list[TableRow]) -> float:

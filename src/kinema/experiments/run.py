@@ -31,9 +31,15 @@ def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
     """Name the run folder that a configuration's stage has; raises ValueError if it has no such stage."""
     if not stage.present(cfg):
         raise ValueError(f"method {cfg.method.name} has no stage {stage.name}; choose a method= that has one")
-    root = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs)
-    name = f"{stage.label(cfg)}-s{cfg.seed}-{fingerprint(stage_identity(cfg, stage, corpus_hash))}"
-    return RunFolder(root / stage.name / name)
+    return run_folder(cfg, stage.name, stage.label(cfg), fingerprint(stage_identity(cfg, stage, corpus_hash)))
+
+
+def run_folder(cfg: DictConfig, kind: str, label: str, digest: str) -> RunFolder:
+    """Name a run's folder by what it is for; one that ends in the same fingerprint is the same run, however named."""
+    folder = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs) / kind
+    there = sorted(folder.glob(f"*-{digest}"))
+    words = [label, cfg.data.name, cfg.scale.name, *(["debug"] if cfg.debug.enabled else []), f"s{cfg.seed}", digest]
+    return RunFolder(there[0] if there else folder / "-".join(words))
 
 
 def command(cfg: DictConfig, stage: Stage) -> str:
@@ -59,19 +65,26 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
         if not quiet:
             console.print(f"cached    {folder.path}")
         return folder
+    check(cfg, stage, store)
     companions = [other for other in companions_of(stage) if other.present(cfg)]
-    for one in (stage, *companions):
-        one.check(cfg, store)
     needs = {other.name: _made(cfg, other, store, stage) for other in needs_of(stage) if other.present(cfg)}
     beside = {other.name: _made(cfg, other, store, stage) for other in companions}
     if global_rank() > 0:
         return _follow(cfg, stage, store, folder, needs)
     with folder.lock():
-        if folder.done:
+        if RunFolder(folder.path).done:  # another process made it meanwhile
             console.print(f"cached    {folder.path}")
             return folder
         _make(cfg, stage, store, folder, needs, beside)
     return folder
+
+
+def check(cfg: DictConfig, stage: Stage, store: PackedStore) -> None:
+    """Raise ValueError if a stage, or one that will be made for it, doesn't fit, before any of them is made."""
+    for other in (*needs_of(stage), *companions_of(stage)):
+        if other.present(cfg) and given_run(cfg, other) is None and not stage_folder(cfg, other, store.hash).done:
+            check(cfg, other, store)
+    stage.check(cfg, store)
 
 
 def _made(cfg: DictConfig, needed: Stage, store: PackedStore, user: Stage) -> RunFolder:

@@ -121,13 +121,15 @@ class Scorer:
 
     def save_samples(self, path: Path, result: ReplicationResult) -> None:
         """Keep a few motions of the replication as joints."""
-        batch: MotionBatch = result.samples
+        batch = result.samples
+        if batch is None:
+            return
         count = min(SAMPLES, len(batch.lengths))
         joints = recover_joints(batch.features[:count].float().cpu(), self.store.skeleton).numpy()
         arrays = {f"joints{i}": joints[i, : int(batch.lengths[i])].astype(np.float32) for i in range(count)}
         arrays |= {"texts": np.array(batch.texts[:count]), "skeleton": np.array(self.store.skeleton.name)}
         with replacing(path) as temporary:
-            np.savez(temporary, **arrays)
+            np.savez(temporary, allow_pickle=False, **arrays)
 
     def _source(self, row: Row) -> sources.Source:
         name, cfg = self.cfg.source, self.cfg
@@ -191,7 +193,7 @@ class Scorer:
         for field in self.store.fields:
             if field == "licence":
                 continue
-            values = [self.store.entry_field(entry, field) for entry in batch.entries.tolist()]
+            values = [self.store.entry_field(entry, field) for entry, _, _ in batch.crops]
             if len(self.tested[field]) > MOST_VALUES:
                 seen = ["seen" if value in self.trained[field] else "unseen" for value in values]
                 found[f"{field} seen in training"] = seen

@@ -24,9 +24,14 @@ class TableRow:
     place: Row | None
 
     @property
+    def lines(self) -> list[dict[str, Any]]:
+        """The results by replication; none for a method that isn't in Kinema."""
+        return [] if self.place is None else self.place.lines
+
+    @property
     def complete(self) -> bool:
         """Say whether every replication has its line."""
-        return self.place is not None and len(self.place.lines) == self.place.replications
+        return self.place is not None and len(self.lines) == self.place.replications
 
 
 def load_table(name: str) -> dict[str, Any]:
@@ -68,29 +73,29 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     from kinema.report.motions import read_samples
     from kinema.report.site import render
 
-    some = next(row for row in rows if row.cfg is not None)
-    paper = some.cfg.data.paper
+    some = next(row.cfg for row in rows if row.cfg is not None)
+    paper = some.data.paper
     published = table["paper"].get(paper or "humanml3d", {})
     results = {row.spec["key"]: _results(row) for row in rows}
     filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
     filled.pop("paper")
     beside = filled.pop("beside", [])
-    filled["comparable"] = paper is not None and some.cfg.scale.name == "paper"
-    filled["corpus"] = some.cfg.data.name
-    filled["scale"] = some.cfg.scale.name
+    filled["comparable"] = paper is not None and some.scale.name == "paper"
+    filled["corpus"] = some.data.name
+    filled["scale"] = some.scale.name
     filled["provenance"] = provenance(rows, command)
     filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]
     motions = {
         row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")
         for row in rows
-        if results[row.spec["key"]] and "metrics" not in row.spec
+        if row.place is not None and results[row.spec["key"]] and "metrics" not in row.spec
     }
     return render(filled, out, {k: v for k, v in motions.items() if v})
 
 
 def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
     """Collect what the results of all rows say of themselves."""
-    lines = [line["provenance"] for row in rows if row.complete for line in row.place.lines]
+    lines = [line["provenance"] for row in rows if row.complete for line in row.lines]
     if not lines:
         return {"command": command}
     first = lines[0]
@@ -98,9 +103,9 @@ def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
     found["evaluators"] = {k: f"{first['runs'][k]}, weights {v}" for k, v in first["evaluators"].items()}
     found["text encoder"] = sorted({line["text_encoder"] for line in lines if line["text_encoder"]})
     found["sampling"] = {
-        row.spec["label"]: row.place.lines[0]["provenance"]["sampling"]
+        row.spec["label"]: row.lines[0]["provenance"]["sampling"]
         for row in rows
-        if row.complete and row.place.lines[0]["provenance"]["sampling"]
+        if row.complete and row.lines[0]["provenance"]["sampling"]
     }
     found["seeds"] = sorted({line["seed"] for line in lines})
     found["versions"] = sorted({", ".join(f"{k} {v}" for k, v in sorted(line["versions"].items())) for line in lines})
@@ -114,7 +119,7 @@ def _results(row: TableRow) -> list[dict[str, Any]] | None:
     if not row.complete:
         return []
     renamed = row.spec.get("metrics")
-    metrics = [line["metrics"] for line in row.place.lines]
+    metrics = [line["metrics"] for line in row.lines]
     return [{key: m[name] for key, name in renamed.items()} for m in metrics] if renamed else metrics
 
 
@@ -152,13 +157,13 @@ BREAKDOWN_COLUMNS = [
 ]
 
 
-def _breakdowns(rows: list[TableRow], results: dict[str, list | None]) -> list[dict[str, Any]]:
+def _breakdowns(rows: list[TableRow], results: dict[str, list[dict[str, Any]] | None]) -> list[dict[str, Any]]:
     """Return one table per manifest field: every row's metrics by the field's values."""
     fields: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         if not results[row.spec["key"]] or "metrics" in row.spec:
             continue
-        lines = row.place.lines
+        lines = row.lines
         for name in sorted(lines[0]["breakdowns"]):
             for value in sorted({v for line in lines for v in line["breakdowns"][name]}):
                 cells = [line["breakdowns"][name][value] for line in lines if value in line["breakdowns"][name]]

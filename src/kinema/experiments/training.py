@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import torch
 from omegaconf import DictConfig
-from torch import nn
 
-from kinema.data.datamodule import MotionDataModule
+from kinema.data.datamodule import KINDS, MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.devices import find_device, global_rank
@@ -18,6 +17,7 @@ from kinema.experiments.config import plain
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
+from kinema.generators import LatentModel
 from kinema.motion.representation import Representation
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs import weights
@@ -26,10 +26,12 @@ from kinema.runs.folder import RunFolder
 from kinema.seeds import training_seed
 from kinema.training.fit import Machine, fit
 from kinema.training.latents import latent_source
-from kinema.training.loggers import loggers
+from kinema.training.loggers import check_names, loggers
 from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, MotionBatch
+
+NUMBERS = ("steps", "epochs", "batch_size", "lr", "weight_decay", "warmup", "validate_every", "checkpoint_every")
 
 
 def make_model(
@@ -38,10 +40,10 @@ def make_model(
     """Fit a stage's model, or take it as it is built where it has no recipe, and write its weights."""
     machine, device = Machine(**plain(cfg.trainer)), find_device(cfg.trainer.accelerator)
     machine.limit_threads()
-    started, train = time.monotonic(), plain(stage.config(cfg))["train"]
+    started, train = time.monotonic(), plain(stage.config(cfg)).get("train")
     recipe = make_recipe(train, store, debug_steps=cfg.debug.steps) if train else None
     model, spec = initial_model(stage, cfg, store)
-    meta = {"part": stage.name, "label": folder.path.name, "corpus": store.hash}
+    meta: dict[str, Any] = {"part": stage.name, "label": folder.path.name, "corpus": store.hash}
     if recipe is None:
         if global_rank() == 0:
             weights.save(model, spec, folder.weights, **meta)
@@ -70,7 +72,20 @@ def make_model(
     return Summary(round(fitted.seconds, 1), fitted.step, fitted.val_loss, trainable, str(device))
 
 
-def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[nn.Module, dict[str, Any]]:
+def check_options(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> None:
+    """Raise ValueError naming an option of machine, loggers or recipe that is wrong."""
+    Machine(**plain(cfg.trainer))
+    find_device(cfg.trainer.accelerator)
+    check_names(cfg.logger.names)
+    train = plain(stage.config(cfg)).get("train")
+    if train:
+        try:
+            make_recipe(train, store)
+        except ValueError as error:
+            raise ValueError(f"{stage.node}.{error}") from None
+
+
+def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[Any, dict[str, Any]]:
     """Build a stage's model from its own seed, with the corpus' statistics; returns it and its spec."""
     torch.manual_seed(training_seed(cfg.seed, "init", stage.name))
     spec = stage.spec(cfg)
@@ -82,7 +97,16 @@ def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tu
 
 
 def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | None = None) -> Recipe:
-    """Turn a recipe's config into numbers; `epochs` become steps of this corpus."""
+    """Turn a recipe's config into numbers; `epochs` become steps of this corpus. Raises ValueError naming an option."""
+    options = {field.name for field in fields(Recipe)} | {"data", "epochs"}
+    for name in sorted(train.keys() - options):
+        raise ValueError(f"train.{name} is no option; a recipe has {', '.join(sorted(options))}")
+    for name in NUMBERS:
+        value = train.get(name) or 0
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"train.{name}={value!r}; it must be a number")
+    if train.get("data") not in KINDS:
+        raise ValueError(f"train.data={train.get('data')!r}; allowed: {', '.join(KINDS)}")
     values = {k: v for k, v in train.items() if k not in ("data", "epochs")}
     if values.get("steps") is None:
         if not train.get("epochs"):
@@ -94,15 +118,12 @@ def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | No
     if debug_steps:
         values |= {"steps": debug_steps, "validate_every": debug_steps, "checkpoint_every": debug_steps}
     values |= {k: tuple(values[k] or ()) for k in ("milestones", "betas", "clip_each") if k in values}
-    try:
-        recipe = Recipe(**values)
-        return replace(recipe, validate_every=min(recipe.validate_every, recipe.steps))
-    except TypeError as error:
-        raise ValueError(f"train config: {error}; the fields are those of kinema.training.recipe.Recipe") from None
+    recipe = Recipe(**values)
+    return replace(recipe, validate_every=min(recipe.validate_every, recipe.steps))
 
 
 def generator_module(
-    cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, tokenizer_run: RunFolder | None
+    cfg: DictConfig, model: LatentModel, recipe: Recipe, store: PackedStore, tokenizer_run: RunFolder | None
 ) -> GeneratorModule:
     """Wire a model of latents to the captions, and to the latents of a tokenizer or the number of frames alone."""
     device = find_device(cfg.trainer.accelerator)

@@ -41,7 +41,7 @@ def batches(size: int, batch_size: int) -> Iterator[slice]:
     return (slice(i, i + batch_size) for i in range(0, size, batch_size))
 
 
-def _spread(values: Any, size: int) -> list:
+def _spread(values: Any, size: int) -> list[Any]:
     """Repeat one value, or check that there is one per text."""
     values = [values] * size if np.ndim(values) == 0 else list(values)
     if len(values) != size:

@@ -65,8 +65,8 @@ def _count(space: LatentSpace) -> str:
 
 def _check_codebook(who: str, tokenizer: MotionTokenizer, generator: LatentModel) -> None:
     """Compare a generator's copy of the codebook, once it has one, with the tokenizer's."""
-    kept = generator.codebook
-    if kept is None or kept.is_meta or not kept.any():
+    kept, own = generator.codebook, tokenizer.codebook
+    if kept is None or own is None or kept.is_meta or not kept.any():
         return
-    if not torch.allclose(kept, tokenizer.codebook.to(kept), atol=1e-5):
+    if not torch.allclose(kept, own.to(kept), atol=1e-5):
         raise ValueError(f"{who}: the generator has another codebook; use the tokenizer run it was trained on")

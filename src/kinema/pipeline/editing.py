@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -63,7 +64,7 @@ def task_slices(task: str, tokens: int) -> Ranges:
     return SLICES[task](tokens)
 
 
-def resolve_ranges(frames: str | Sequence, lengths: Sequence[int]) -> list[Ranges]:
+def resolve_ranges(frames: str | Sequence[Any], lengths: Sequence[int]) -> list[Ranges]:
     """Return the ranges to regenerate of each motion.
 
     `frames` is a task's name, a list of (start, end) for all motions, or a list with one of these per motion.
@@ -95,7 +96,7 @@ def kept_frames(kept: Bool[Tensor, "b n"], space: LatentSpace) -> Bool[Tensor, "
     return kept.repeat_interleave(space.in_time("keeping a part of a motion"), dim=1)
 
 
-def paste(result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b t"]) -> MotionBatch:
+def paste(result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b k"]) -> MotionBatch:
     """Put the source's rows, of the result's columns, in the place of those that are kept."""
     size, width = result.features.shape[1:]
     kept = (keep[:, :size] & result.mask)[..., None]
@@ -146,7 +147,7 @@ def _frame(text: str, fps: float) -> int:
         raise ValueError(f"{text!r} is neither a frame (20) nor a time in seconds (1.5s)") from None
 
 
-def _is_ranges(frames: Sequence) -> bool:
+def _is_ranges(frames: Sequence[Any]) -> bool:
     return all(
         not isinstance(r, str) and len(r) == 2 and all(isinstance(v, int | np.integer) for v in r) for r in frames
     )

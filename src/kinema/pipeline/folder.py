@@ -47,8 +47,8 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
     for name in sorted(name for name, run in given.items() if run is not None and name not in allowed):
         takes = ", ".join(f"{part}=" for part in allowed)
         raise ValueError(f"{type(generator).__name__} takes no part {name!r}; it takes {takes}")
-    runs = links | given
-    tokenizer, _ = load_part(runs.pop(TOKENIZER), device, TOKENIZER)
+    tokenizer, _ = load_part(links.pop(TOKENIZER), device, TOKENIZER)
+    runs: dict[str, str | Path | None] = {**links, **given}
     check_representation(meta.get("representation"), tokenizer.representation)
     encoder = build_text_encoder(text["encoder"], text.get("path"), device)
     if meta.get("text", encoder.identity) != encoder.identity:

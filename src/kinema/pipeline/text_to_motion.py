@@ -6,22 +6,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from jaxtyping import Int
-from torch import Tensor, nn
+from torch import Tensor
 
 from kinema.devices import find_device
 from kinema.generators import Generator, LatentModel
+from kinema.generators.length import LengthEstimator
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.pipeline.arguments import batches, check_length, frame_counts, paired
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
-from kinema.pipeline.editing import edited_frames, kept_latents, resolve_ranges, stack_sources
+from kinema.pipeline.editing import Ranges, edited_frames, kept_latents, resolve_ranges, stack_sources
 from kinema.pipeline.editing import paste as paste_rows
 from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept
@@ -187,7 +188,7 @@ class TextToMotion:
         self,
         motions: Motion | Sequence[Motion],
         texts: str | Sequence[str],
-        frames: str | Sequence,
+        frames: str | Sequence[Any],
         *,
         seed: int | None = None,
         batch_size: int = 32,
@@ -212,7 +213,7 @@ class TextToMotion:
         return edited
 
     def _edit_batch(
-        self, motions: list[Motion], texts: list[str], ranges: list, seeds: list[int], options: Any, paste: bool
+        self, motions: list[Motion], texts: list[str], ranges: list[Ranges], seeds: list[int], options: Any, paste: bool
     ) -> MotionBatch:
         space = self.tokenizer.space
         source, counts, filled = stack_sources(motions, self.tokenizer.representation.width, space)
@@ -251,7 +252,8 @@ class TextToMotion:
             raise ValueError("no lengths: they need a generator that ends its sequences itself or a length estimator")
         # The published estimator knows a class 0 (MARDM §6); no motion has no frames.
         least = self.generator.space.whole(1)
-        return self.parts[LENGTH].predict(text.to(self.device), seeds).cpu().clamp(least, self.max_frames)
+        estimator = cast(LengthEstimator, self.parts[LENGTH])
+        return estimator.predict(text.to(self.device), seeds).cpu().clamp(least, self.max_frames)
 
     def _check_sources(self, motions: list[Motion]) -> None:
         representation = self.tokenizer.representation
@@ -267,7 +269,7 @@ class TextToMotion:
                 raise ValueError(f"motion {i} holds NaN or infinite features; repair it before editing")
             check_length(len(motion.features), self.max_frames, self.skeleton.fps)
 
-    def _modules(self) -> list[nn.Module]:
+    def _modules(self) -> list[MotionTokenizer | LatentModel]:
         return [self.tokenizer, self.generator, *self.parts.values()]
 
     @contextmanager
@@ -299,6 +301,6 @@ class TextToMotion:
         if "text" not in self.meta:
             raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
         own = {"text": self.text_encoder.identity, "representation": self.tokenizer.representation.identity()}
-        parts = {TOKENIZER: self.tokenizer, **self.parts}
+        parts: dict[str, MotionTokenizer | LatentModel] = {TOKENIZER: self.tokenizer, **self.parts}
         write_parts(path, self.generator, parts, self.meta["text"], own)
         return path

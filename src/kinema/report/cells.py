@@ -146,14 +146,14 @@ def _best(column: Column, index: int, lines: tuple[Line, ...]) -> int | None:
     if column.better not in ("higher", "lower"):
         return None
     sign = 1 if column.better == "higher" else -1
-    ours = {n: line.cells[index].ours for n, line in enumerate(lines) if line.kind == "method"}
-    ours = {n: value for n, value in ours.items() if value is not None}
-    if len(ours) < 2 or any(value.half is None for value in ours.values()):
+    cells = {n: line.cells[index].ours for n, line in enumerate(lines) if line.kind == "method"}
+    ours = {n: value for n, value in cells.items() if value is not None}
+    spans = {n: (sign * v.mean - v.half, sign * v.mean + v.half) for n, v in ours.items() if v.half is not None}
+    if len(ours) < 2 or len(spans) < len(ours):
         return None
     first = max(ours, key=lambda n: sign * ours[n].mean)
-    lead = sign * ours[first].mean - ours[first].half
-    apart = all(lead > sign * value.mean + value.half for n, value in ours.items() if n != first)
-    return first if apart else None
+    lead, _ = spans[first]
+    return first if all(lead > end for n, (_, end) in spans.items() if n != first) else None
 
 
 def _refuse_twins(keys: list[str], what: str) -> None:

@@ -11,10 +11,12 @@ from typing import Any
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
-from torch import Tensor
+from lightning.pytorch.loggers import WandbLogger
+from torch import Tensor, nn
 
 from kinema.atomic import write_text
 from kinema.runs.lines import append_line, read_lines
+from kinema.training.modules import StageModule
 
 
 class EMA(WeightAveraging):
@@ -35,18 +37,28 @@ class EMA(WeightAveraging):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Follow the module to its device: Lightning copies it before it moves it."""
-        self._average_model.to(pl_module.device)
+        if self._average_model is not None:
+            self._average_model.to(pl_module.device)
 
-    def averaged(self) -> LightningModule:
-        """Return the averaged copy of the module."""
+    def averaged(self) -> StageModule:
+        """Return the averaged copy of the module; there is one from the start of training on."""
+        if self._average_model is None or not isinstance(self._average_model.module, StageModule):
+            raise ValueError("nothing is averaged before training has started")
         return self._average_model.module
 
 
-def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tensor]:
-    """Return the weights that are validated and kept: averaged ones where there is averaging."""
-    averaging = [c for c in trainer.callbacks if isinstance(c, EMA)]
+def selected(trainer: Trainer, module: LightningModule) -> nn.Module:
+    """Return the model that is validated and kept: the averaged one where there is averaging."""
+    averaging = [c for c in trainer.callbacks if isinstance(c, EMA)]  # type: ignore[attr-defined]  # set by its connector
     source = averaging[0].averaged() if averaging else module
-    return {k: v.detach().cpu().clone() for k, v in source.model.state_dict().items()}
+    if not isinstance(source, StageModule):
+        raise TypeError(f"{type(source).__name__} is trained here, which holds no model; derive it from StageModule")
+    return source.model
+
+
+def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tensor]:
+    """Return the weights of the model that is validated and kept."""
+    return {k: v.detach().cpu().clone() for k, v in selected(trainer, module).state_dict().items()}
 
 
 class BestWeights(Callback):
@@ -151,7 +163,7 @@ class RunRecord(Callback):
 class Samples(Callback):
     """Write what the model makes of a few validation prompts, as a page that plays, and log it where wandb runs."""
 
-    def __init__(self, folder: Path, every: int, draw: Callable[[torch.nn.Module, Path], Path | None]) -> None:
+    def __init__(self, folder: Path, every: int, draw: Callable[[Any, Path], Path | None]) -> None:
         self.folder = folder
         self.every = every
         self.draw = draw
@@ -160,14 +172,13 @@ class Samples(Callback):
         """Draw with the validated weights."""
         if trainer.sanity_checking or not trainer.is_global_zero or trainer.global_step % self.every:
             return
-        averaging = [c for c in trainer.callbacks if isinstance(c, EMA)]
-        model = (averaging[0].averaged() if averaging else pl_module).model
+        model = selected(trainer, pl_module)
         training = model.training
         model.eval()
         page = self.draw(model, self.folder / f"step-{trainer.global_step:07d}.html")
         model.train(training)
         for logger in trainer.loggers:
-            if page is not None and type(logger).__name__ == "WandbLogger":
+            if page is not None and isinstance(logger, WandbLogger):
                 import wandb
 
                 logger.experiment.log({"samples": wandb.Html(page.read_text())}, step=trainer.global_step)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import logging
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
@@ -77,7 +78,7 @@ def fit(
     folder: Path,
     machine: Machine,
     *,
-    callbacks: list[Callback] | None = None,
+    callbacks: Sequence[Callback] | None = None,
     loggers: list[Any] | None = None,
 ) -> Fitted:
     """Train to the recipe's number of steps, resuming from `folder/checkpoints/last.ckpt` where that exists."""
@@ -94,7 +95,7 @@ def fit(
         devices=machine.devices,
         num_nodes=machine.num_nodes,
         strategy=machine.strategy,
-        precision=machine.precision,
+        precision=cast(Any, machine.precision),  # Lightning's own names; it tells a wrong one
         max_steps=recipe.steps,
         max_epochs=-1,
         val_check_interval=recipe.validate_every,

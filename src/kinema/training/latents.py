@@ -36,8 +36,7 @@ class LatentCache:
 
     def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
         """Gather the latents of a batch of crops, zero beyond their lengths; nothing is drawn."""
-        keys = zip(batch.entries.tolist(), batch.starts.tolist(), batch.lengths.tolist(), strict=True)
-        rows = [self.rows[key] for key in keys]
+        rows = [self.rows[crop] for crop in batch.crops]
         counts = self.offsets[np.array(rows) + 1] - self.offsets[rows]
         values = np.zeros((len(rows), int(counts.max()), self.dim), np.int64 if self.discrete else np.float32)
         for i, row in enumerate(rows):
@@ -56,7 +55,9 @@ class LatentCache:
         return torch.from_numpy(low), torch.from_numpy(high)
 
     @classmethod
-    def ensure(cls, folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str) -> LatentCache:
+    def ensure(
+        cls, folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
+    ) -> LatentCache:
         """Encode all crops of the data sets once, in a fixed order; the caller holds the tokenizer run's lock.
 
         An interrupted attempt is thrown away by the next.
@@ -68,9 +69,7 @@ class LatentCache:
 
     @staticmethod
     @torch.no_grad()
-    def _write(
-        folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str, batch: int = 64
-    ) -> None:
+    def _write(folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str) -> None:
         crops = [(int(e), s, n) for data in clips for e in data.entries for s, n in data.crops(int(e))]
         store = clips[0].store
         # Crops of one length go together: no padding, and a result that does not depend on the neighbours' lengths.
@@ -96,6 +95,8 @@ class LatentCache:
             for i, row in zip(chunk, encoded, strict=True):
                 values[offsets[i] : offsets[i + 1]] = row
             start += len(chunk)
+        if values is None:
+            raise ValueError("there is no crop to encode; the corpus has no clip of a usable length")
         values.flush()
         np.save(folder / "keys.npy", np.array(crops, np.int64))
         np.save(folder / "offsets.npy", offsets.astype(np.int64))
@@ -110,7 +111,9 @@ class LatentCache:
 class EncodeEachTime:
     """Encode every batch anew: frames as they are, and latents that are drawn (a VAE's) or of augmented motion."""
 
-    def __init__(self, tokenizer: MotionTokenizer, clips: list[ClipDataset] | None = None, device: str = "cpu") -> None:
+    def __init__(
+        self, tokenizer: MotionTokenizer, clips: list[ClipDataset] | None = None, device: torch.device | str = "cpu"
+    ) -> None:
         self.tokenizer, self.clips, self.device = tokenizer.to(device).eval(), clips or [], device
 
     @torch.no_grad()
@@ -132,7 +135,7 @@ class EncodeEachTime:
 
 
 def latent_source(
-    folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: str
+    folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
 ) -> LatentCache | EncodeEachTime:
     """Choose where a tokenizer's latents come from: looked up if they are always the same and no frames, else made.
 

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 
 import torch
 from lightning.pytorch import LightningModule
+from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
 from kinema.seeds import training_seed
@@ -24,7 +25,7 @@ class Unregistered:
     def __init__(self, value: Any) -> None:
         self.value = value
 
-    def __deepcopy__(self, memo: dict) -> Unregistered:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Unregistered:
         return self
 
 
@@ -42,6 +43,8 @@ class TextSource(Protocol):
 
 class StageModule(LightningModule):
     """Train one model by its recipe; subclasses say how a batch becomes losses."""
+
+    model: Any  # an nn.Module with a loss, of motion or of latents and text
 
     def __init__(self, model: nn.Module, recipe: Recipe, seed: int) -> None:
         super().__init__()
@@ -80,7 +83,7 @@ class StageModule(LightningModule):
         for name, value in losses.items():
             self.log(f"val/{name}", value, batch_size=len(batch.lengths), prog_bar=name == "loss")
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> OptimizerLRScheduler:
         """Make the recipe's optimiser and its schedule by steps."""
         optimizer = self.recipe.optimizer(self.model.parameters())
         # A plain function: of a bound method the schedule would write the attributes into every checkpoint.

@@ -47,9 +47,6 @@ class Recipe:
         ):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"train.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
-        for name in ("steps", "batch_size", "lr", "weight_decay", "warmup", "validate_every", "checkpoint_every"):
-            if isinstance(getattr(self, name), bool) or not isinstance(getattr(self, name), int | float):
-                raise ValueError(f"train.{name}={getattr(self, name)!r}; it must be a number")
         for name in ("steps", "batch_size", "validate_every", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"train.{name}={getattr(self, name)}; it must be at least 1")

@@ -20,7 +20,8 @@ from kinema.types import Caption, Losses, MotionBatch
 class Vocabulary(Protocol):
     """Turn captions into what an evaluator reads; `identity` names its content."""
 
-    identity: str
+    @property
+    def identity(self) -> str: ...
 
 
 class TextMotionEvaluator(nn.Module):

@@ -9,7 +9,7 @@ import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool
@@ -63,7 +63,8 @@ def worked_example() -> Panel:
 def tiny_model() -> BAD:
     """Build an untrained model: who sees whom does not depend on weights."""
     torch.manual_seed(0)
-    sizes = {"width": 16, "heads": 2, "feedforward": 16, "cross_layers": 0, "base_layers": 1, "head_layers": 1}
+    sizes: dict[str, Any] = {"width": 16, "heads": 2, "feedforward": 16}
+    sizes |= {"cross_layers": 0, "base_layers": 1, "head_layers": 1}
     return BAD(codebook_size=32, code_dim=4, text_dim=8, token_dim=8, max_latents=TOKENS, **sizes)
 
 
@@ -73,7 +74,7 @@ def training(model: BAD, steps: int = 3) -> list[Panel]:
     latents = Latents(lengths, lengths * 4, codes=torch.arange(TOKENS)[None, :, None])
     text = TextFeatures([""], torch.zeros(1, 8))
 
-    def record(module: torch.nn.Module, inputs: tuple) -> None:
+    def record(module: torch.nn.Module, inputs: tuple[torch.Tensor, ...]) -> None:
         ids, _, visible = inputs[0][0], inputs[1], inputs[2][0]
         masked, orders = ids >= model.first_mask, ids - model.first_mask
         panels.append(panel(f"{int(masked.sum())} of {TOKENS} masked", visible, orders, masked, TOKENS))

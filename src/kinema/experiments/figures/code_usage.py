@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import torch
@@ -60,8 +60,8 @@ def measure(run: Path, split: str = "test", device: torch.device | str = "cpu") 
     """
     tokenizer, cfg = _read(run)
     store = PackedStore.open(open_corpus(cfg))
-    usage = CodeUsage(tokenizer.space.codebook_size, tokenizer.space.quantizers)
-    usage = count(tokenizer.to(device), store, split, usage.to(device)).compute()
+    counter = CodeUsage(tokenizer.space.classes, tokenizer.space.quantizers).to(device)
+    usage = count(tokenizer.to(device), store, split, counter).compute()
     names = ("perplexity", "used", "dead")
     return {
         "run": str(run),
@@ -127,7 +127,7 @@ def draw(results: list[dict[str, Any]], path: Path) -> Path:
 
     Raises ImportError without matplotlib.
     """
-    rows: dict[str, dict[str, list]] = {}
+    rows: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for result in results:
         rows.setdefault(label(result), {kind: [] for kind in DIMS})[result["dims"]].append(result)
     figure = new_figure(9, 1 + 2.6 * len(rows), dpi=120)
@@ -177,4 +177,4 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
     tokenizer = read_model(run, TOKENIZER)
     if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
-    return tokenizer, OmegaConf.load(run / "config.yaml")
+    return tokenizer, cast(DictConfig, OmegaConf.load(run / "config.yaml"))

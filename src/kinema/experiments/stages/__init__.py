@@ -13,12 +13,7 @@ from kinema.experiments.stages.judge import JudgeStage
 
 def stages() -> dict[str, Stage]:
     """Return all stages by name, each after those that it reads or has beside it."""
-    return {stage.name: stage for level in levels() for stage in level}
-
-
-def levels() -> list[list[Stage]]:
-    """Group the stages by what they wait for: those of a level can be made at once, after the levels before it."""
-    return _find(tuple(__path__))
+    return dict(_find(tuple(__path__)))
 
 
 def get_stage(name: str) -> Stage:
@@ -44,7 +39,7 @@ def companions_of(stage: Stage) -> list[Stage]:
 
 
 @cache
-def _find(folders: tuple[str, ...]) -> list[list[Stage]]:
+def _find(folders: tuple[str, ...]) -> list[tuple[str, Stage]]:
     found: dict[str, Stage] = {}
     for entry in pkgutil.iter_modules(folders, f"{__name__}."):
         for kind in vars(importlib.import_module(entry.name)).values():
@@ -52,17 +47,12 @@ def _find(folders: tuple[str, ...]) -> list[list[Stage]]:
                 other = found.setdefault(kind.name, kind())
                 if type(other) is not kind:
                     raise ValueError(f"{kind} and {type(other)} are both stage {kind.name!r}; rename one of them")
-    order = TopologicalSorter({stage.name: stage.needs for stage in found.values()})
+    order = TopologicalSorter({name: found[name].needs for name in sorted(found)})
     for stage in found.values():
-        for other in (*stage.needed_by, *stage.companion_of):
-            order.add(other, stage.name)
-    order.prepare()
-    grouped = []
-    while order.is_active():
-        ready = order.get_ready()
-        unknown = [name for name in ready if name not in found]
-        if unknown:
-            raise ValueError(f"a stage names {unknown[0]!r}, which is none; stages: {', '.join(found)}")
-        grouped.append([found[name] for name in sorted(ready)])
-        order.done(*ready)
-    return grouped
+        for reader in (*stage.needed_by, *stage.companion_of):
+            order.add(reader, stage.name)
+    names = list(order.static_order())
+    unknown = [name for name in names if name not in found]
+    if unknown:
+        raise ValueError(f"a stage names {unknown[0]!r}, which is none; stages: {', '.join(found)}")
+    return [(name, found[name]) for name in names]

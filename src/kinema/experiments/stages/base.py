@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.runs.folder import RunFolder
+from kinema.runs.latest import find_run
 from kinema.runs.parts import upstream
 
 
@@ -42,8 +43,8 @@ class Stage:
     reads: ClassVar[tuple[str, ...]] = ()
     on_all_ranks: ClassVar[bool] = False
 
-    def config(self, cfg: DictConfig) -> DictConfig | None:
-        """Return the stage's own part of the configuration."""
+    def config(self, cfg: DictConfig) -> Any:
+        """Return the stage's own part of the configuration; None where it has none."""
         return OmegaConf.select(cfg, self.node)
 
     def present(self, cfg: DictConfig) -> bool:
@@ -79,9 +80,15 @@ class Stage:
         raise TypeError(f"{type(self).__name__} says nothing of how it is made; write its method make")
 
 
-def asked_for(cfg: DictConfig) -> Path | None:
-    """Return the folder that `run=` of an evaluation names: a path, or `latest:METHOD`."""
-    return find_run(cfg.run, cfg.paths.runs) if cfg.get("run") else None
+def asked_for(cfg: DictConfig, key: str = "run") -> Path | None:
+    """Return the folder that the configuration names under a key: a path, or `latest:METHOD`."""
+    run = OmegaConf.select(cfg, key)
+    return find_run(run, cfg.paths.runs) if run else None
+
+
+def dims(kind: str, variant: str) -> str:
+    """Name a representation as its option is called."""
+    return variant if (kind, variant) == ("redundant", "published") else kind
 
 
 def given_run(cfg: DictConfig, stage: Stage) -> RunFolder | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.store import PackedStore
 from kinema.experiments.instantiate import read_model
@@ -38,7 +37,7 @@ class ConditionedStage(FittedStage):
             check_pair(tokenizer.sketch(cfg), self.sketch(cfg))
 
     def module(
-        self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+        self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> GeneratorModule:
         """Encode the captions and the latents that its loss reads."""
         from kinema.experiments.training import generator_module
@@ -46,9 +45,7 @@ class ConditionedStage(FittedStage):
         stage = self.tokenizer(cfg)
         return generator_module(cfg, model, recipe, store, needs[stage.name] if stage is not None else None)
 
-    def metadata(
-        self, cfg: DictConfig, module: GeneratorModule, needs: dict[str, RunFolder], folder: RunFolder
-    ) -> dict[str, Any]:
+    def metadata(self, cfg: DictConfig, module: Any, needs: dict[str, RunFolder], folder: RunFolder) -> dict[str, Any]:
         """Name the text encoder, and the representation that the latents are of."""
         write_text_encoder(folder.path, cfg.text.name, cfg.text.path)
         found = {"text": module.text.value.identity}

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
@@ -37,7 +36,7 @@ class FittedStage(Stage):
     def settings(self, cfg: DictConfig) -> dict[str, Any]:
         """Return the model, and of its recipe what can change the weights that are kept."""
         own = plain(self.config(cfg))
-        train = dict(own["train"] or {})
+        train = dict(own.get("train") or {})
         left_out = PACE if train.get("select", "last") == "last" else ("checkpoint_every",)
         return {
             "model": own["model"],
@@ -54,19 +53,23 @@ class FittedStage(Stage):
         """Return the plain spec that kinema.runs.build makes the model of."""
         return plain(self.config(cfg).model)
 
-    def sketch(self, cfg: DictConfig) -> nn.Module:
+    def sketch(self, cfg: DictConfig) -> Any:
         """Build the model without memory, to compare it with others before any of them is made."""
         with torch.device("meta"):
             return build(self.spec(cfg))
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
-        """Check that there are captions for a recipe that reads them."""
-        train = self.config(cfg).train
-        if train is not None and train.data == "clips":
+        """Check the options of model and recipe, and that there are captions for a recipe that reads them."""
+        from kinema.experiments.training import check_options
+
+        check_options(self, cfg, store)
+        self.sketch(cfg)
+        train = self.config(cfg).get("train")
+        if train and train.data == "clips":
             require_captions(store, "train", "val")
 
     def module(
-        self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+        self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> StageModule:
         """Wire the model to what its loss reads; by default motion alone."""
         from kinema.training.modules import MotionModule
@@ -74,14 +77,12 @@ class FittedStage(Stage):
         return MotionModule(model, recipe, cfg.seed)
 
     def callbacks(
-        self, cfg: DictConfig, module: StageModule, store: PackedStore, needs: dict[str, RunFolder], samples: Path
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path
     ) -> list[Samples]:
         """Return what else happens while it trains."""
         return []
 
-    def metadata(
-        self, cfg: DictConfig, module: StageModule, needs: dict[str, RunFolder], folder: RunFolder
-    ) -> dict[str, Any]:
+    def metadata(self, cfg: DictConfig, module: Any, needs: dict[str, RunFolder], folder: RunFolder) -> dict[str, Any]:
         """Return what the weights say of themselves, and write what lies beside them."""
         return {}
 

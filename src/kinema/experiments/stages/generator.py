@@ -11,14 +11,13 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import read_model
-from kinema.experiments.stages.base import asked_for
+from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
-from kinema.generators import Generator
 from kinema.runs.folder import RunFolder
 
 if TYPE_CHECKING:
     from kinema.training.callbacks import Samples
-    from kinema.training.modules import GeneratorModule, StageModule
+    from kinema.training.modules import GeneratorModule
     from kinema.training.recipe import Recipe
 
 
@@ -30,8 +29,9 @@ class GeneratorStage(ConditionedStage):
     needs = ("tokenizer",)
 
     def label(self, cfg: DictConfig) -> str:
-        """Name the method and its dims; methods of a family share their runs."""
-        return f"{cfg.method.get('family', cfg.method.name)}-{cfg.representation.kind}"
+        """Name the method, its generator's size or variant, and its dims; methods of a family share their runs."""
+        words = [cfg.method.get("family", cfg.method.name), cfg.generator.get("variant"), dims(**cfg.representation)]
+        return "-".join(word for word in words if word)
 
     def spec(self, cfg: DictConfig) -> dict[str, Any]:
         """Return the model's spec; it holds the sampling that its users get by default."""
@@ -46,7 +46,7 @@ class GeneratorStage(ConditionedStage):
         return cfg.source == "generation"
 
     def module(
-        self, cfg: DictConfig, model: Generator, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+        self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> GeneratorModule:
         """Attach what it has beside it in training already."""
         for name in model.parts:
@@ -55,14 +55,14 @@ class GeneratorStage(ConditionedStage):
         return super().module(cfg, model, recipe, store, needs)
 
     def callbacks(
-        self, cfg: DictConfig, module: StageModule, store: PackedStore, needs: dict[str, RunFolder], samples: Path
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path
     ) -> list[Samples]:
         """Draw sample motions every few steps, if asked for."""
-        if not cfg.callbacks.samples_every:
+        stage = self.tokenizer(cfg)
+        if stage is None or not cfg.callbacks.samples_every:
             return []
         from kinema.experiments.previews import sample_drawer
         from kinema.training.callbacks import Samples
 
-        name = self.tokenizer(cfg).name
-        draw = sample_drawer(cfg, store, read_model(needs[name].path, name), module.text.value)
+        draw = sample_drawer(cfg, store, read_model(needs[stage.name].path, stage.name), module.text.value)
         return [Samples(samples, cfg.callbacks.samples_every, draw)]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.store import PackedStore
 from kinema.evaluation.encoders.base import Vocabulary
+from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.runs.folder import RunFolder
 
@@ -23,7 +23,7 @@ class EvaluatorStage(FittedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the evaluator and its dims."""
-        return f"evaluator_{cfg.evaluator.name}-{cfg.evaluator.representation}"
+        return f"evaluator_{cfg.evaluator.name}-{dims(cfg.evaluator.representation, cfg.evaluator.variant)}"
 
     def dims(self, cfg: DictConfig) -> str:
         """Name the columns that the evaluator reads."""
@@ -37,15 +37,14 @@ class JudgeStage(EvaluatorStage):
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run of an imported evaluator."""
-        path = (cfg.get("evaluators") or {}).get(self.given_as)
-        return Path(path) if path else None
+        return asked_for(cfg, f"evaluators.{self.given_as}")
 
     def vocabulary(self, cfg: DictConfig) -> Vocabulary:
         """Return what it reads captions with; its model's width follows."""
         raise TypeError(f"{type(self).__name__} has no vocabulary; write its method vocabulary")
 
     def module(
-        self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+        self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> StageModule:
         """Attach the vocabulary."""
         model.attach(self.vocabulary(cfg))

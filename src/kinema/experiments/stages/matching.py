@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.data.store import PackedStore
 from kinema.experiments.instantiate import read_model
@@ -36,7 +35,7 @@ class MatchingStage(JudgeStage):
         return {**super().spec(cfg), "word_width": self.vocabulary(cfg).width}
 
     def module(
-        self, cfg: DictConfig, model: nn.Module, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
+        self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> StageModule:
         """Take over the movement encoder."""
         (encoder,) = self.needs

@@ -5,6 +5,7 @@ from __future__ import annotations
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
+from kinema.experiments.stages.base import dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.experiments.stages.generator import GeneratorStage
 
@@ -19,7 +20,7 @@ class ResidualStage(ConditionedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the transformer and its dims."""
-        return f"{cfg.residual.name}_residual-{cfg.representation.kind}"
+        return f"{cfg.residual.name}_residual-{dims(**cfg.representation)}"
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
         """Check that it fits its generator too."""

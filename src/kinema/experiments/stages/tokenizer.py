@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig
-from torch import nn
 
 from kinema.experiments.instantiate import read_model
-from kinema.experiments.stages.base import asked_for, given_run
+from kinema.experiments.stages.base import asked_for, dims, given_run
 from kinema.experiments.stages.fitted import FittedStage
-from kinema.runs.latest import find_run
 
 
 class TokenizerStage(FittedStage):
@@ -21,20 +20,18 @@ class TokenizerStage(FittedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the tokenizer and its dims."""
-        return f"{cfg.tokenizer.name}-{cfg.representation.kind}"
+        return f"{cfg.tokenizer.name}-{dims(**cfg.representation)}"
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run that `tokenizer_run=` names, or the one of the run that `run=` names (it may be that one)."""
         run = asked_for(cfg)
-        if run is not None:
-            return super().given(cfg) or run
-        return find_run(cfg.tokenizer_run, cfg.paths.runs) if cfg.tokenizer_run else None
+        return asked_for(cfg, "tokenizer_run") if run is None else super().given(cfg) or run
 
     def scored(self, cfg: DictConfig) -> bool:
         """Decoded motion is scored by itself."""
         return cfg.source in ("noise", "reconstruction")
 
-    def sketch(self, cfg: DictConfig) -> nn.Module:
+    def sketch(self, cfg: DictConfig) -> Any:
         """Build it without memory, or read the given one and hold it to the configuration's representation."""
         run = given_run(cfg, self)
         if run is None:
