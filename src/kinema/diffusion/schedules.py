@@ -11,10 +11,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+HOME = "cpu"
+"""Where tables are, also those of a model that is built without memory, whose sampling is checked all the same."""
+
 
 def cosine_betas(steps: int) -> Float[Tensor, " t"]:
     """Tabulate beta_i = min(1 - abar((i+1)/T) / abar(i/T), 0.999), abar(u) = cos^2((u+0.008)/1.008 pi/2)."""
-    time = torch.arange(steps + 1, dtype=torch.float64) / steps
+    time = torch.arange(steps + 1, dtype=torch.float64, device=HOME) / steps
     alpha_bar = torch.cos((time + 0.008) / 1.008 * math.pi / 2) ** 2
     return (1 - alpha_bar[1:] / alpha_bar[:-1]).clamp(max=0.999)
 
@@ -22,13 +25,15 @@ def cosine_betas(steps: int) -> Float[Tensor, " t"]:
 def linear_betas(steps: int) -> Float[Tensor, " t"]:
     """Tabulate betas from 1e-4 to 0.02, scaled by 1000/T so that any T ends at about the same noise."""
     scale = 1000 / steps
-    return torch.linspace(scale * 1e-4, scale * 0.02, steps, dtype=torch.float64)
+    return torch.linspace(scale * 1e-4, scale * 0.02, steps, dtype=torch.float64, device=HOME)
 
 
 def scaled_linear_betas(steps: int) -> Float[Tensor, " t"]:
     """Tabulate betas from 0.00085 to 0.012, equally spaced in their roots, scaled by 1000/T (MLD §2)."""
     scale = 1000 / steps
-    return torch.linspace((scale * 0.00085) ** 0.5, (scale * 0.012) ** 0.5, steps, dtype=torch.float64) ** 2
+    return (
+        torch.linspace((scale * 0.00085) ** 0.5, (scale * 0.012) ** 0.5, steps, dtype=torch.float64, device=HOME) ** 2
+    )
 
 
 BETAS = {"cosine": cosine_betas, "linear": linear_betas, "scaled_linear": scaled_linear_betas}
@@ -43,7 +48,7 @@ def make_schedule(name: str, steps: int) -> Schedule:
     betas = BETAS[name](steps)
     if betas.max() >= 1:
         raise ValueError(f"schedule {name!r} leaves no signal in {steps} steps; give more than 20, or take 'cosine'")
-    return Schedule(betas, torch.arange(steps))
+    return Schedule(betas, torch.arange(steps, device=HOME))
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ class Schedule:
 
     def below(self, amplification: float) -> Schedule:
         """Keep the timesteps that multiply an error of epsilon by at most this (timestep 0 in any case)."""
-        return self.keep(torch.arange(max(1, int((self.amplification <= amplification).sum()))), self.end)
+        return self.keep(torch.arange(max(1, int((self.amplification <= amplification).sum())), device=HOME), self.end)
 
     def keep(self, kept: Int[Tensor, " s"], end: float = 1.0) -> Schedule:
         """Keep some timesteps, with the betas that leave their alphas_cumprod as they are."""
@@ -127,27 +132,27 @@ def spaced_timesteps(total: int, steps: int | str) -> Int[Tensor, " s"]:
     if any(not 1 <= count <= size for count, size in zip(counts, sizes, strict=True)):
         raise _bad_steps(total, steps)
     if counts == [1]:
-        return torch.tensor([total - 1])
+        return torch.tensor([total - 1], device=HOME)
     kept, start = [], 0
     for size, count in zip(sizes, counts, strict=True):
         stride = (size - 1) / (count - 1) if count > 1 else 1.0
         # A running sum, as published: its float error decides where a half is rounded (12 * 49 / 24 gives 25, not 24).
         kept += [start + round(position) for position in accumulate([0.0] + [stride] * (count - 1))]
         start += size
-    return torch.tensor(kept)
+    return torch.tensor(kept, device=HOME)
 
 
 def _strided(total: int, count: int) -> Int[Tensor, " s"]:
     for stride in range(1, total + 1):
         if len(range(0, total, stride)) == count:
-            return torch.arange(0, total, stride)
+            return torch.arange(0, total, stride, device=HOME)
     raise ValueError(count)
 
 
 def _leading(total: int, count: int) -> Int[Tensor, " s"]:
     if not 2 <= count <= total // 2 or total % count:
         raise ValueError(count)
-    return torch.arange(1, total, total // count)
+    return torch.arange(1, total, total // count, device=HOME)
 
 
 def _bad_steps(total: int, steps: int | str) -> ValueError:
