@@ -37,8 +37,8 @@ $(DOCS): $(STAMP) requirements-docs.lock
 	$(PIP) -r requirements-docs.lock
 	touch $@
 
-test: $(STAMP)  ## run the tests (ARGS="-k word", ARGS="-m 'not slow'")
-	$(PY) -m pytest $(ARGS)
+test: $(STAMP)  ## run the tests, on all cores (ARGS="-k word", ARGS="-m 'not slow'", ARGS="-n 0")
+	OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
 
 lint: $(STAMP)  ## check style and format
 	$(VENV)/bin/ruff check .

@@ -21,7 +21,7 @@ class Flow(nn.Module):
     chooses its own.
     """
 
-    def resolve(self, solver: str | None, steps: int | None) -> tuple[str, int]:
+    def resolve(self, solver: str | None, steps: int | str | None) -> tuple[str, int]:
         """Check a choice of solver and steps and fill in the defaults."""
         solver, steps = solver or "midpoint", 25 if steps is None else steps
         if solver not in SOLVERS:
@@ -62,7 +62,7 @@ class Flow(nn.Module):
         noise: Iterator[Float[Tensor, "n *d"]],
         *,
         solver: str | None = None,
-        steps: int | None = None,
+        steps: int | str | None = None,
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
         known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,

@@ -23,9 +23,9 @@ def requested_lengths(
     Raises ValueError without either, for frames that the space has no latents for, or unless there is one text and one
     seed per sample.
     """
-    if frames is None and known is None:
-        raise ValueError("frames is None; give the frames to generate (a LengthEstimator predicts them from text)")
     if frames is None:
+        if known is None:
+            raise ValueError("frames is None; give the frames to generate (a LengthEstimator predicts them from text)")
         frames = known.latents.frames if space.unit is None else space.frames_of(known.latents.lengths)
     lengths = latent_lengths(frames.to(device), space)
     if not len(lengths) == len(text.pooled) == len(seeds):

@@ -7,11 +7,11 @@ from typing import Any
 
 from torch import Tensor, nn
 
-from kinema.interop.checkpoint import Rules, count, require, transfer
+from kinema.interop.checkpoint import count, require, transfer
 from kinema.interop.representation import fit_statistics, representation_spec
 
 
-def conv_rules(levels: int, prefix: str = "") -> Rules:
+def conv_rules(levels: int, prefix: str = "") -> list[tuple[str, str]]:
     """Name the published conv encoder's and decoder's keys as ours (the same for all VQ tokenizers; COMMON §3)."""
     encoder, decoder = rf"{prefix}encoder\.model\.", rf"{prefix}decoder\.model\."
     rules = [

@@ -64,7 +64,9 @@ def load(
         "downsample": downsample,
         "sampling": {"_target_": "kinema.generators.bamm.BammSampling", **(sampling or {})},
     }
-    rules = [(re.escape(theirs), ours) for theirs, ours in names(sizes["layers"], pre=pre).items()]
+    rules: list[tuple[str, str | None]] = [
+        (re.escape(theirs), ours) for theirs, ours in names(sizes["layers"], pre=pre).items()
+    ]
     rules += [(r"token_emb\.weight", "token_embedding.weight"), (r"position_enc\.pe", None)]
     return transfer(spec, {**split_attention(state), "token_emb.weight": table[:-1]}, rules, kind=kind)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from kinema.evaluation.encoders.clip_style import ContrastiveEvaluator
 from kinema.interop.checkpoint import Rules, count, require, transfer
 from kinema.interop.representation import fit_statistics, representation_spec
 
@@ -46,7 +47,7 @@ def load(state: Mapping[str, Tensor], *, statistics: Any = None, heads: int = 8,
     return fit_statistics(module, statistics)
 
 
-def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:
+def export(module: ContrastiveEvaluator) -> dict[str, dict[str, Tensor]]:
     """Return the entry of a published file from a ContrastiveEvaluator.
 
     Raises ValueError if it owns no token embedding or projects it.

@@ -81,7 +81,9 @@ def load(
         "downsample": downsample,
         "sampling": {"_target_": "kinema.generators.gpt.GptSampling", **(sampling or {})},
     }
-    rules = [(re.escape(theirs), ours) for theirs, ours in names(base, head, cross).items()]
+    rules: list[tuple[str, str | None]] = [
+        (re.escape(theirs), ours) for theirs, ours in names(base, head, cross).items()
+    ]
     # Constants, and a table of positions that no published forward reads.
     rules += [(r".+\.attn\.mask|trans_base\.pos_embed\.embed|trans_base\.pos_embedding\.weight", None)]
     return transfer(spec, state, rules, kind=kind)

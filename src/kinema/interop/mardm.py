@@ -87,7 +87,7 @@ def load(
         "process": {"_target_": VARIANTS[variant]},
         "sampling": {"_target_": "kinema.generators.mar.MarSampling", **(sampling or {})},
     }
-    rules = [(re.escape(theirs), ours) for theirs, ours in names(layers, depth).items()]
+    rules: list[tuple[str, str | None]] = [(re.escape(theirs), ours) for theirs, ours in names(layers, depth).items()]
     rules += [("mask_latent|latent_min|latent_max", r"\g<0>"), (r"position_enc\.pe", None)]
     unknown_range = {
         "latent_min": torch.full((latent_dim,), -torch.inf),

@@ -73,8 +73,8 @@ def load(
         "process": {"_target_": "kinema.diffusion.ddpm.DDPM", "steps": steps, "prediction": prediction},
         "sampling": {"_target_": "kinema.generators.mdm.FrameSampling", "guidance": 2.5, **(sampling or {})},
     }
-    rules = [(re.escape(theirs), f"denoiser.{ours}") for theirs, ours in names(architecture, layers).items()]
-    rules += [(re.escape(table), None) for table in TABLES]
+    rules: list[tuple[str, str | None]] = [(re.escape(table), None) for table in TABLES]
+    rules += [(re.escape(theirs), f"denoiser.{ours}") for theirs, ours in names(architecture, layers).items()]
     return transfer(spec, split_attention(state), rules, kind=kind)
 
 

@@ -29,7 +29,7 @@ def representation_spec(width: int, *, variant: str | None = None) -> dict[str, 
     raise ValueError(f"this checkpoint reads features of width {width}; known: 67, 263 (HumanML3D), 64, 251 (KIT)")
 
 
-def fit_statistics(module: nn.Module, statistics: Any) -> nn.Module:
+def fit_statistics(module: Any, statistics: Any) -> nn.Module:
     """Fit a module's representation to statistics; None leaves it unfitted, which it says on first use."""
     if statistics is not None:
         module.representation.fit(read_statistics(statistics))

@@ -41,27 +41,27 @@ def import_run(
     tokenizer. `text` is the encoder it was trained with, which no file names; `options` are the importer's. Raises
     ValueError or FileNotFoundError.
     """
-    links = {part: Path(run) for part, run in (links or {}).items()}
+    linked = {part: Path(run) for part, run in (links or {}).items()}
     known = find_kind(kind)
-    _check_links(kind, known, links)
+    _check_links(kind, known, linked)
     if text not in ENCODERS:
         raise ValueError(f"unknown text encoder {text!r}; choose --text one of {', '.join(ENCODERS)}")
-    parts = {part: load_part(run, "cpu", part)[0] for part, run in links.items()}
-    module = interop.load(kind, source, **(options or {}))
+    parts = {part: load_part(run, "cpu", part)[0] for part, run in linked.items()}
+    module: Any = interop.load(kind, source, **(options or {}))
     check_parts({known.part: module, **parts})
     if module.spec.get("words") == "all" and text not in WHOLE:
         raise ValueError(f"words=all reads all 77 positions, --text {text} gives the text's own; use {WHOLE[0]}")
     with new_folder(out) as folder:
         about = {"part": known.part, "kind": kind, "source": str(source)}
         weights.save(module, module.spec, RunFolder(folder).weights, **about)
-        link(folder, links)
+        link(folder, linked)
         if known.part in READS_TEXT:
             write_text_encoder(folder, text, text_path)
         RunFolder(folder).mark("done", imported=str(source))
     return module
 
 
-def check_parts(parts: Mapping[str, nn.Module]) -> None:
+def check_parts(parts: Mapping[str, Any]) -> None:
     """Raise one ValueError that names what doesn't match: codes, downsampling, the codebook, the text's width."""
     tokenizer, generator = parts.get(TOKENIZER), parts.get(GENERATOR)
     for name, part in parts.items():

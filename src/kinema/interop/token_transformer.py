@@ -79,4 +79,5 @@ def export(transformer: TokenTransformer, positions: int) -> dict[str, Tensor]:
 
 def _depths(state: Mapping[str, Tensor]) -> tuple[int, int, int]:
     patterns = (r"trans_base\.cross_att\.(\d+)\.", r"trans_base\.blocks\.(\d+)\.", r"trans_head\.blocks\.(\d+)\.")
-    return tuple(count(state, pattern) for pattern in patterns)
+    cross, base, head = (count(state, pattern) for pattern in patterns)
+    return cross, base, head

@@ -46,7 +46,7 @@ def tensors(layers: Mapping[str, str]) -> dict[str, str]:
 
 def split_attention(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Split each fused `in_proj` into the projections of query, key and value."""
-    split = {}
+    split: dict[str, Tensor] = {}
     for key, value in state.items():
         stem, fused, tensor = key.rpartition(".in_proj_")
         if fused:

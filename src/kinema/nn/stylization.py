@@ -57,7 +57,7 @@ class StylizedAttention(nn.Module):
             raise ValueError(f"attention {attention!r} is unknown; choose one of {', '.join(ATTENTIONS)}")
         self.heads, self.dropout, self.linear = heads, dropout, attention == "linear"
         self.norm = nn.LayerNorm(width)
-        self.context_norm = None if context_dim is None else nn.LayerNorm(context_dim)
+        self.context_norm = nn.Identity() if context_dim is None else nn.LayerNorm(context_dim)
         self.query = nn.Linear(width, width)
         self.key = nn.Linear(context_dim or width, width)
         self.value = nn.Linear(context_dim or width, width)
@@ -91,12 +91,11 @@ class StylizedFeedForward(nn.Module):
 
     def __init__(self, width: int, feedforward: int, embedding: int, dropout: float = 0.0) -> None:
         super().__init__()
-        self.mlp = nn.Sequential(
-            nn.Linear(width, feedforward), nn.GELU(), nn.Dropout(dropout), nn.Linear(feedforward, width)
-        )
+        last = nn.Linear(feedforward, width)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.mlp = nn.Sequential(nn.Linear(width, feedforward), nn.GELU(), nn.Dropout(dropout), last)
         self.style = Stylization(width, embedding, dropout)
-        nn.init.zeros_(self.mlp[3].weight)
-        nn.init.zeros_(self.mlp[3].bias)
 
     def forward(self, x: Float[Tensor, "b t w"], embedding: Float[Tensor, "b e"]) -> Float[Tensor, "b t w"]:
         return x + self.style(self.mlp(x), embedding)

@@ -83,6 +83,8 @@ class AutoEncoder(MotionTokenizer):
 
     def decode(self, latents: Latents) -> MotionBatch:
         """Decode to de-normalised features (b, 4n, representation.width), zero past `latents.frames`."""
+        if latents.values is None:
+            raise ValueError("this tokenizer decodes continuous values, not codes; use the tokenizer that made them")
         normalized = self._decode(latents.values, latents.lengths)
         frames = torch.minimum(latents.frames, self.space.frames_of(latents.lengths))
         return MotionBatch(self.representation.denormalize(normalized, frames), frames)

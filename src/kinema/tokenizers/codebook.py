@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -41,16 +41,14 @@ class Quantized:
     dead_codes: Float[Tensor, ""]
 
 
+@runtime_checkable
 class Quantizer(Protocol):
     """Quantise vectors (an nn.Module): `codebook_size` codes of `code_dim` numbers, `quantizers` per position."""
 
     codebook_size: int
     code_dim: int
     quantizers: int
-
-    @property
-    def codebook(self) -> Float[Tensor, "k d"]:
-        """The code vectors (of the first layer)."""
+    training: bool
 
     @property
     def codebooks(self) -> Float[Tensor, "q k d"]:
@@ -67,6 +65,9 @@ class Quantizer(Protocol):
 
     def lookup(self, codes: Int[Tensor, "b n q"]) -> Float[Tensor, "b n d"]:
         """Return the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
+
+    def train(self, mode: bool = True) -> Any:
+        """Learn at each call, or (mode=False) don't."""
 
 
 @dataclass
@@ -241,9 +242,9 @@ class EMACodebook(nn.Module):
     def _dead(self) -> Float[Tensor, ""]:
         return (self.counts < self.threshold).float().mean()
 
-    def _load_from_state_dict(self, *args: object, **kwargs: object) -> None:
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         self._initialised = False
-        super()._load_from_state_dict(*args, **kwargs)  # type: ignore[arg-type]
+        super()._load_from_state_dict(*args, **kwargs)
 
 
 def assign(
@@ -279,7 +280,8 @@ def tile(rows: Float[Tensor, "m d"], size: int, noise: Float[Tensor, "n d"] | No
         return rows
     if not len(rows):
         raise ValueError("the first batch holds no real position to start the codebook from; give longer motions")
-    return rows.repeat(math.ceil(size / len(rows)), 1) + noise * (NOISE / math.sqrt(rows.shape[1]))
+    repeated = rows.repeat(math.ceil(size / len(rows)), 1)
+    return repeated if noise is None else repeated + noise * (NOISE / math.sqrt(rows.shape[1]))
 
 
 def perplexity(codes: Shaped[Tensor, " m"], size: int) -> Float[Tensor, ""]:

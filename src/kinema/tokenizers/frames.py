@@ -30,5 +30,7 @@ class Frames(MotionTokenizer):
 
     def decode(self, latents: Latents) -> MotionBatch:
         """De-normalise; frames past the lengths are zero."""
+        if latents.values is None:
+            raise ValueError("frames are continuous values, not codes; use the tokenizer that made them")
         frames = torch.minimum(latents.frames, latents.lengths)
         return MotionBatch(self.representation.denormalize(latents.values, frames), frames)

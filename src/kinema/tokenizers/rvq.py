@@ -36,18 +36,20 @@ class ResidualQuantizer(nn.Module):
             raise ValueError(f"quantizers={quantizers}; a residual quantiser has one layer at least")
         self.codebook_size, self.code_dim, self.quantizers = codebook_size, code_dim, quantizers
         self.quantizer_dropout = quantizer_dropout
-        options = {"reset": reset, "decay": decay, "threshold": threshold, "temperature": temperature}
-        self.layers = nn.ModuleList(EMACodebook(codebook_size, code_dim, **options) for _ in range(quantizers))
+        self.layers = nn.ModuleList(
+            EMACodebook(codebook_size, code_dim, reset=reset, decay=decay, threshold=threshold, temperature=temperature)
+            for _ in range(quantizers)
+        )
 
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
         """The code vectors of the first layer."""
-        return self.layers[0].codebook
+        return self._codebooks()[0].codebook
 
     @property
     def codebooks(self) -> Float[Tensor, "q k d"]:
         """The code vectors of all layers."""
-        return torch.stack([layer.codebook for layer in self.layers])
+        return torch.stack([layer.codebook for layer in self._codebooks()])
 
     def forward(
         self,
@@ -64,7 +66,7 @@ class ResidualQuantizer(nn.Module):
         """
         active = active or self._active(generator, z.device)
         residual, results = z, []
-        for i, layer in enumerate(self.layers[:active]):
+        for i, layer in enumerate(self._codebooks()[:active]):
             results.append(layer(residual, real, generator, shard, draws[i] if draws else None))
             residual = residual - results[-1].values.detach()
         codes = [result.codes for result in results]
@@ -81,8 +83,12 @@ class ResidualQuantizer(nn.Module):
         """Sum the vectors of the codes of the first layers, as many as given; -1 adds nothing."""
         if not 1 <= codes.shape[-1] <= self.quantizers:
             raise ValueError(f"{codes.shape[-1]} codes per position; this tokenizer has 1 to {self.quantizers}")
-        vectors = [layer.lookup(codes[..., i, None]) for i, layer in enumerate(self.layers[: codes.shape[-1]])]
+        vectors = [layer.lookup(codes[..., i, None]) for i, layer in enumerate(self._codebooks()[: codes.shape[-1]])]
         return torch.stack(vectors).sum(0)
+
+    def _codebooks(self) -> list[EMACodebook]:
+        """Return the layers as what they are: a ModuleList knows modules only."""
+        return [layer for layer in self.layers if isinstance(layer, EMACodebook)]
 
     def _active(self, generator: torch.Generator | None, device: torch.device) -> int:
         """Draw how many layers a batch uses: the same on all ranks, whose generators are in the same state."""

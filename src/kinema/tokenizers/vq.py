@@ -66,7 +66,7 @@ class VQVAE(MotionTokenizer):
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
         """The code vectors (of the first layer)."""
-        return self.quantizer.codebook
+        return self.quantizer.codebooks[0]
 
     @property
     def codebooks(self) -> Float[Tensor, "q k d"]:
@@ -105,7 +105,7 @@ class VQVAE(MotionTokenizer):
         require_frames(motion, self.space)
         counts = self.space.latents_of(motion.lengths)
         training = self.quantizer.training
-        self.quantizer.eval()  # looking never teaches the codebook
+        self.quantizer.train(False)  # looking never teaches the codebook
         z = self._encode(self.representation.normalize(motion.features, motion.lengths), motion.lengths)
         codes = self.quantizer(z, frame_mask(counts, z.shape[1])).codes
         self.quantizer.train(training)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -69,7 +70,7 @@ class BAD(CodebookReader):
         self.first_mask = codebook_size + 2
         self.conditions = 1 + time_token
         self.direction = direction
-        self.rules = {
+        self.rules: dict[str, Any] = {
             "conditions": self.conditions,
             "direction": direction,
             "unmasked_see_masks": unmasked_see_masks,
@@ -114,7 +115,7 @@ class BAD(CodebookReader):
 
     def time_token(self, masked: Bool[Tensor, "b n"], lengths: Int[Tensor, " b"]) -> Float[Tensor, "b 1 w"] | None:
         """Embed the number of masks and the length; None for a model without this condition."""
-        if self.count_embedding is None:
+        if self.count_embedding is None or self.length_embedding is None:
             return None
         dtype = self.codebook.dtype
         count, length = (timestep_embedding(number, FREQUENCIES).to(dtype) for number in (masked.sum(dim=1), lengths))
@@ -175,8 +176,10 @@ class BAD(CodebookReader):
         """Yield what was masked, who saw whom and the codes after it, of every step of `sample`."""
         sampling, draws = sampling or self.sampling, draws or SeededDraws(seeds)
         device, request = self.codebook.device, self.request(text, frames, seeds, known)
-        limits = {"direction": self.direction, "max_latents": self.max_latents}
-        planned, text = plan(request, sampling, draws, seeds, editing=known is not None, **limits), text.to(device)
+        text, editing = text.to(device), known is not None
+        planned = plan(
+            request, sampling, draws, seeds, editing=editing, direction=self.direction, max_latents=self.max_latents
+        )
 
         def predict(codes: Tensor, masked: Tensor, step: int) -> Float[Tensor, "b n k"]:
             with inference(self):
@@ -196,9 +199,14 @@ class BAD(CodebookReader):
         return hybrid_mask(orders, masked, planned.lengths, **self.rules)
 
     def _draw(self, codes: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]) -> BadDraws:
-        options = {**self.training_shares, "generator": generator, "device": codes.device}
         draws = share_of(
-            lambda samples: BadDraws.draw((samples, self.max_latents), self.codebook_size, **options),
+            lambda samples: BadDraws.draw(
+                (samples, self.max_latents),
+                self.codebook_size,
+                **self.training_shares,
+                generator=generator,
+                device=codes.device,
+            ),
             len(codes),
             shard,
             codes.shape[1],

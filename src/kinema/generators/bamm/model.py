@@ -151,15 +151,15 @@ class BAMM(TokenGenerator):
         return ResidualSampling(sampling.residual_guidance, sampling.residual_temperature, sampling.residual_top_k)
 
     def _draw(self, slots: Int[Tensor, "b s"], generator: torch.Generator | None, shard: tuple[int, int]) -> BammDraws:
-        options = {
-            "codebook_size": self.codebook_size,
-            "condition_drop": self.condition_drop if self.training else 0.0,
-            "corrupt": self.training,
-            "generator": generator,
-            "device": slots.device,
-        }
         return share_of(
-            lambda samples: BammDraws.draw((samples, self.max_latents + 1), **options),
+            lambda samples: BammDraws.draw(
+                (samples, self.max_latents + 1),
+                codebook_size=self.codebook_size,
+                condition_drop=self.condition_drop if self.training else 0.0,
+                corrupt=self.training,
+                generator=generator,
+                device=slots.device,
+            ),
             len(slots),
             shard,
             slots.shape[1],

@@ -49,7 +49,7 @@ class FrameDiffusion(Generator):
         sampling: FrameSampling,
     ) -> None:
         super().__init__()
-        self.space = LatentSpace("frames", frame_dim, max_frames, unit=1)
+        self.space, self.frame_dim = LatentSpace("frames", frame_dim, max_frames, unit=1), frame_dim
         self.denoiser, self.process, self.sampling = denoiser, process, sampling
         self.condition_drop, self.mask_frames, self.average = condition_drop, mask_frames, average
         self.check_sampling(sampling)
@@ -78,8 +78,7 @@ class FrameDiffusion(Generator):
         Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
         `shard` = (rank, world). Dropout is torch's own. `draws` replaces what is drawn (tests).
         """
-        check_latents(latents, self.space)
-        x1 = latents.values.detach() * latents.mask[..., None]
+        x1 = check_latents(latents, self.space).detach() * latents.mask[..., None]
         if not self.mask_frames:
             x1 = F.pad(x1, (0, 0, 0, self.space.most - x1.shape[1]))
         draws = draws or self._draw(x1, generator, shard)
@@ -119,11 +118,11 @@ class FrameDiffusion(Generator):
         real = frame_mask(lengths, longest if self.mask_frames else self.space.most)
         shown = real if self.mask_frames else None
         drawn = real.sum(dim=1) if self.mask_frames else torch.full_like(lengths, self.space.most)
-        kept = None if known is None else Kept.of(known, lengths, real, self.space.width)
+        kept = None if known is None else Kept.of(known, lengths, real, self.frame_dim)
         with inference(self):
             values = self.process.sample(
                 self._predictor(text.to(device), shown, sampling),
-                noise or sequence_noise(seeds, drawn, self.space.width, device),
+                noise or sequence_noise(seeds, drawn, self.frame_dim, device),
                 solver=sampling.solver,
                 steps=sampling.solver_steps,
                 temperature=sampling.temperature,
@@ -151,9 +150,14 @@ class FrameDiffusion(Generator):
     ) -> FrameDraws:
         batch, frames, features = x1.shape
         drop = self.condition_drop if self.training else 0.0
-        options = {"condition_drop": drop, "generator": generator, "device": x1.device}
         return share_of(
-            lambda samples: FrameDraws.draw((samples, self.space.most, features), self.process, **options),
+            lambda samples: FrameDraws.draw(
+                (samples, self.space.most, features),
+                self.process,
+                condition_drop=drop,
+                generator=generator,
+                device=x1.device,
+            ),
             batch,
             shard,
             frames,

@@ -49,8 +49,7 @@ class Kept:
     @classmethod
     def of(cls, known: Known, lengths: Int[Tensor, " b"], real: Bool[Tensor, "b n"], width: int) -> Kept:
         """Check what is known, whole frames or single features, and lay it over the frames that are generated."""
-        check_known(known, lengths, width, features=True)
-        values, mask = known.latents.values, known.mask
+        values, mask = check_known(known, lengths, width, features=True), known.mask
         mask = (mask if mask.ndim == 3 else mask[..., None]).expand_as(values).to(real.device)
         size = real.shape[1]
         values, mask = (_sized(x.to(real.device), size) for x in (values, mask))

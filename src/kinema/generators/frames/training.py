@@ -33,11 +33,10 @@ class FrameDraws(StepDraws):
         device: torch.device,
     ) -> FrameDraws:
         """Draw for `shape` = (samples, frames, features)."""
-        options = {"generator": generator, "device": device}
         return cls(
-            condition_drop=torch.rand(shape[0], **options) < condition_drop,
+            condition_drop=torch.rand(shape[0], generator=generator, device=device) < condition_drop,
             time=process.draw_times(shape[:1], generator, device),
-            noise=torch.randn(shape, **options),
+            noise=torch.randn(shape, generator=generator, device=device),
         )
 
 

@@ -72,7 +72,7 @@ class T2MGPT(TokenGenerator):
         self.sampling = sampling or GptSampling()
         self.token_embedding = nn.Embedding(codebook_size + 2, width)
         self.text_projection = nn.Linear(text_dim, width)
-        self.word_projection = nn.Linear(token_dim, width) if cross_layers else None
+        self.word_projection = nn.Linear(token_dim, width) if cross_layers and token_dim is not None else None
         self.cross_blocks = nn.ModuleList(
             TransformerBlock(width, heads, feedforward, dropout, cross=True) for _ in range(cross_layers)
         )
@@ -156,10 +156,10 @@ class T2MGPT(TokenGenerator):
         """Project the words, for models that read them, and say which may be seen."""
         if self.word_projection is None:
             return None
-        real = visible_words(text, self.words)
+        features, real = visible_words(text, self.words)
         if real is None:
-            real = torch.ones(text.tokens.shape[:2], dtype=torch.bool, device=text.tokens.device)
-        return self.word_projection(text.tokens), real
+            real = torch.ones(features.shape[:2], dtype=torch.bool, device=features.device)
+        return self.word_projection(features), real
 
     def _embed(
         self,

@@ -86,8 +86,9 @@ class MARDM(Generator):
             if isinstance(module, nn.Linear):
                 nn.init.normal_(module.weight, std=0.02)
                 nn.init.zeros_(module.bias)
-        for block in self.blocks:
-            nn.init.zeros_(block.modulation[1].weight)
+        for name, parameter in self.blocks.named_parameters():
+            if ".modulation." in name:
+                nn.init.zeros_(parameter)
 
     def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
         """Keep the training latents' range."""
@@ -142,9 +143,8 @@ class MARDM(Generator):
         `shard` = (rank, world); the mean is over the masked rows of all ranks, so that ranks together equal one
         process. Dropout is torch's own. `draws` replaces them all (tests).
         """
-        check_latents(latents, self.space)
-        real = latents.mask
-        x1 = latents.values.detach() * real[:, :, None]
+        values, real = check_latents(latents, self.space), latents.mask
+        x1 = values.detach() * real[:, :, None]
         draws = draws or self._draw(x1, generator, shard)
         counted = latents.lengths if self.mask_length == "own" else latents.lengths.new_tensor([self.space.most])
         mask = training_mask(draws, real, counted)
@@ -188,11 +188,11 @@ class MARDM(Generator):
         device = self.mask_latent.device
         lengths = requested_lengths(self.space, text, frames, seeds, known, device=device)
         latents, free = start(self.space, lengths, known)
-        draws = draws or SampleDraws(seeds, lengths, self.space.width, device)
+        draws = draws or SampleDraws(seeds, lengths, len(self.mask_latent), device)
         predict = self._predictor(text.pooled.to(device), latents.mask, draws, sampling)
         yield None, latents
         steps = plan(draws.order(), free, sampling)
-        for step, values in unmask(latents.values, self.mask_latent.detach(), steps, predict):
+        for step, values in unmask(latents.content, self.mask_latent.detach(), steps, predict):
             yield step, replace(latents, values=values)
 
     def _predictor(
@@ -227,14 +227,15 @@ class MARDM(Generator):
         self, latents: Float[Tensor, "b n c"], generator: torch.Generator | None, shard: tuple[int, int]
     ) -> MarDraws:
         batch, positions, channels = latents.shape
-        options = {
-            "repeats": self.batch_multiplier,
-            "condition_drop": self.condition_drop if self.training else 0.0,
-            "generator": generator,
-            "device": latents.device,
-        }
         return share_of(
-            lambda samples: MarDraws.draw((samples, self.space.most, channels), self.process, **options),
+            lambda samples: MarDraws.draw(
+                (samples, self.space.most, channels),
+                self.process,
+                repeats=self.batch_multiplier,
+                condition_drop=self.condition_drop if self.training else 0.0,
+                generator=generator,
+                device=latents.device,
+            ),
             batch,
             shard,
             positions,

@@ -46,12 +46,12 @@ class MarSampling:
 def start(space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None) -> tuple[Latents, Tensor]:
     """Make the latents to start from (known ones, zeros elsewhere) and the mask of the positions that are free."""
     positions, width = int(lengths.max()), space.width
+    assert width is not None  # values have a width
     real = frame_mask(lengths, positions)
     values = torch.zeros(len(lengths), positions, width, device=lengths.device)
     free = real
     if known is not None:
-        check_known(known, lengths, width)
-        source = known.latents.values
+        source = check_known(known, lengths, width)
         values = torch.where(real[:, :, None], source[:, :positions].to(values), values)
         free = real & ~known.mask[:, :positions].to(real.device)
     return Latents(lengths=lengths, frames=space.frames_of(lengths), values=values), free

@@ -38,20 +38,25 @@ class MdmDenoiser(Denoiser):
         super().__init__()
         if architecture not in ARCHITECTURES:
             raise ValueError(f"architecture {architecture!r} is unknown; choose one of {', '.join(ARCHITECTURES)}")
-        if (text_dim is None) == (token_dim is None):
+        given = token_dim if text_dim is None else text_dim
+        if given is None or None not in (text_dim, token_dim):
             raise ValueError(
                 f"text_dim={text_dim} and token_dim={token_dim}; give one of the two: the width of the pooled text "
                 "vector, or that of the tokens' features"
             )
         self.reads_tokens = token_dim is not None
-        self.text_projection = nn.Linear(token_dim or text_dim, width)
+        self.text_projection = nn.Linear(given, width)
+        self.width = width
         self.time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.input_projection = nn.Linear(frame_dim, width)
         self.dropout = nn.Dropout(dropout)
         self.encodes = architecture == "encoder"
-        options = {"norm": "post"} if self.encodes else {}
-        block = TransformerBlock if self.encodes else DecoderBlock
-        self.blocks = nn.ModuleList(block(width, heads, feedforward, dropout, **options) for _ in range(layers))
+        self.blocks = nn.ModuleList(
+            TransformerBlock(width, heads, feedforward, dropout, norm="post")
+            if self.encodes
+            else DecoderBlock(width, heads, feedforward, dropout)
+            for _ in range(layers)
+        )
         self.output = nn.Linear(width, frame_dim)
         initialize_as_torch(self.blocks)
 
@@ -88,8 +93,8 @@ class MdmDenoiser(Denoiser):
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
         """Embed a single time (one row, broadcast later) or one time per row, as they are."""
-        layer = self.time[0]
-        return self.time(interleaved_embedding(time.reshape(-1), layer.in_features).to(layer.weight.dtype))
+        embedded = interleaved_embedding(time.reshape(-1), self.width)
+        return self.time(embedded.to(self.input_projection.weight.dtype))
 
     def _place(self, x: Float[Tensor, "b n w"]) -> Float[Tensor, "b n w"]:
         return self.dropout(x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype))

@@ -17,6 +17,8 @@ class MDM(FrameDiffusion):
     `architecture`, as in `MdmDenoiser`.
     """
 
+    denoiser: MdmDenoiser
+
     def __init__(
         self,
         *,

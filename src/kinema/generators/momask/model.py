@@ -192,9 +192,14 @@ class MoMask(TokenGenerator):
         self, codes: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]
     ) -> MoMaskDraws:
         drop = self.condition_drop if self.training else 0.0
-        options = {"condition_drop": drop, "generator": generator, "device": codes.device}
         return share_of(
-            lambda samples: MoMaskDraws.draw((samples, self.max_latents), self.codebook_size, **options),
+            lambda samples: MoMaskDraws.draw(
+                (samples, self.max_latents),
+                self.codebook_size,
+                condition_drop=drop,
+                generator=generator,
+                device=codes.device,
+            ),
             len(codes),
             shard,
             codes.shape[1],

@@ -20,9 +20,8 @@ class StylizedBlock(nn.Module):
         self, width: int, heads: int, feedforward: int, embedding: int, words: int, dropout: float, attention: str
     ) -> None:
         super().__init__()
-        options = {"attention": attention, "dropout": dropout}
-        self.attention = StylizedAttention(width, heads, embedding, **options)
-        self.cross = StylizedAttention(width, heads, embedding, context_dim=words, **options)
+        self.attention = StylizedAttention(width, heads, embedding, attention=attention, dropout=dropout)
+        self.cross = StylizedAttention(width, heads, embedding, context_dim=words, attention=attention, dropout=dropout)
         self.mlp = StylizedFeedForward(width, feedforward, embedding, dropout)
 
     def forward(
@@ -63,7 +62,7 @@ class MotionDiffuseDenoiser(Denoiser):
         attention: str = "linear",
     ) -> None:
         super().__init__()
-        embedding = 4 * width
+        self.width, embedding = width, 4 * width
         self.text_projection = nn.Linear(token_dim, text_width)
         self.text_blocks = nn.ModuleList(
             TransformerBlock(text_width, text_heads, text_feedforward, norm="post") for _ in range(text_layers)
@@ -118,5 +117,5 @@ class MotionDiffuseDenoiser(Denoiser):
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n e"]:
         """Embed a single time (one row, broadcast later) or one time per row, as they are."""
-        layer = self.time[0]
-        return self.time(timestep_embedding(time.reshape(-1), layer.in_features).to(layer.weight.dtype))
+        embedded = timestep_embedding(time.reshape(-1), self.width)
+        return self.time(embedded.to(self.input_projection.weight.dtype))

@@ -16,6 +16,8 @@ class MotionDiffuse(FrameDiffusion):
     `attention`, the text's transformer and sizes as in `MotionDiffuseDenoiser`. As published `condition_drop` is 0.
     """
 
+    denoiser: MotionDiffuseDenoiser
+
     def __init__(
         self,
         *,

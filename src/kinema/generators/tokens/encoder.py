@@ -109,6 +109,6 @@ def guided_logits(
     """
     if scale == 1:
         return predict(tokens, text, *others)
-    tokens, *others = (torch.cat((x, x)) for x in (tokens, *others))
-    conditional, empty = predict(tokens, torch.cat((text, torch.zeros_like(text))), *others).chunk(2)
+    doubled = [torch.cat((x, x)) for x in (tokens, *others)]
+    conditional, empty = predict(doubled[0], torch.cat((text, torch.zeros_like(text))), *doubled[1:]).chunk(2)
     return empty + scale * (conditional - empty)

@@ -27,4 +27,9 @@ class CodebookReader(TokenGenerator):
 
     def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
         """Take over the tokenizer's code vectors."""
+        if tokenizer.codebook is None:
+            raise ValueError(
+                f"{type(self).__name__} reads code vectors and {type(tokenizer).__name__} has none; use a tokenizer of "
+                "codes"
+            )
         self.set_codebook(tokenizer.codebook)

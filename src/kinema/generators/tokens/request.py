@@ -44,6 +44,7 @@ def check_codes(latents: Latents, space: LatentSpace, most: int | None = None) -
         )
     if codes.shape[1] > most:
         raise ValueError(f"{codes.shape[1]} tokens exceed max_latents={most}; raise it or crop the motions")
+    assert size is not None  # a space of codes says how many
     codes = codes[..., : space.quantizers].masked_fill(~latents.mask[..., None], 0).long()
     wrong = codes[(codes < 0) | (codes >= size)]
     if len(wrong):

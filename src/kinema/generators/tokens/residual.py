@@ -59,6 +59,8 @@ class ResidualTransformer(LatentModel):
     neither a target nor ever drawn.
     """
 
+    space: LatentSpace
+
     def __init__(
         self,
         *,
@@ -125,7 +127,7 @@ class ResidualTransformer(LatentModel):
         """Sum the embedded codes of each sample's layers below `layer`."""
         below = torch.arange(self.quantizers - 1, device=codes.device) < layer[:, None]
         embedded = (self.tables[p][codes[..., p]] * below[:, p, None, None] for p in range(self.quantizers - 1))
-        return sum(embedded)
+        return sum(embedded, start=self.tables.new_zeros(()))
 
     def forward(
         self,
@@ -138,7 +140,7 @@ class ResidualTransformer(LatentModel):
         one_hot = nn.functional.one_hot(layer, self.quantizers).to(history.dtype)
         prefix = torch.stack((self.encoder.text_projection(text), self.layer_projection(one_hot)), dim=1)
         x = self.encoder(self.encoder.embed(history, prefix), real)[:, 2:]
-        if self.score_tables is None:
+        if self.score_tables is None or self.score_bias is None:
             return x @ self.tables[layer].mT
         return x @ self.score_tables[layer - 1].mT + self.score_bias[layer - 1][:, None]
 
@@ -159,8 +161,13 @@ class ResidualTransformer(LatentModel):
         codes = check_codes(latents, self.space)
         if draws is None:
             drop = self.condition_drop if self.training else 0.0
-            options = {"condition_drop": drop, "generator": generator, "device": codes.device}
-            draws = share_of(lambda samples: ResidualDraws.draw(samples, **options), len(codes), shard)
+            draws = share_of(
+                lambda samples: ResidualDraws.draw(
+                    samples, condition_drop=drop, generator=generator, device=codes.device
+                ),
+                len(codes),
+                shard,
+            )
         layer, real = drawn_layer(draws.layer, self.quantizers), latents.mask
         pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
         logits = self(self.history(codes, layer), pooled, layer, real)[real]
@@ -190,13 +197,13 @@ class ResidualTransformer(LatentModel):
         codes = base.new_zeros(*base.shape[:2], self.quantizers)
         codes[..., 0] = base[..., 0]
         keep, given = self._kept(codes, known)
-        text = text.pooled.to(device)
+        pooled = text.pooled.to(device)
         choose = likely_choice(draws or SeededDraws(seeds, STREAM), sampling.temperature, sampling.top_k)
         with inference(self):
             for q in range(1, self.quantizers):
                 layer = torch.full((len(codes),), q, device=device)
                 history = self.history(codes, layer)
-                logits = guided_logits(self, history, text, layer, real, scale=sampling.guidance).float()
+                logits = guided_logits(self, history, pooled, layer, real, scale=sampling.guidance).float()
                 logits[..., self.codebook_size] = -torch.inf
                 codes[..., q] = torch.where(keep, given[..., q], choose(q - 1, logits)).masked_fill(~real, 0)
         return Latents(lengths=latents.lengths, frames=latents.frames, codes=codes)

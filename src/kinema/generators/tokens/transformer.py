@@ -81,7 +81,7 @@ class TokenTransformer(nn.Module):
         """
         x = self.embed(ids)
         if self.word_projection is not None:
-            x = self._attend_to_words(_with_positions(x), text)
+            x = self._attend_to_words(_with_positions(x), text, self.word_projection)
         sentence = self.text_projection(text.pooled)[:, None]
         x = torch.cat((sentence, x) if extra is None else (sentence, extra, x), dim=1)
         x = run(self.base_blocks, _with_positions(x), mask)
@@ -91,9 +91,11 @@ class TokenTransformer(nn.Module):
         """Project codebook rows and learned rows."""
         return self.input_projection(F.embedding(ids, torch.cat((self.codebook, self.special.weight))))
 
-    def _attend_to_words(self, x: Float[Tensor, "b n w"], text: TextFeatures) -> Float[Tensor, "b n w"]:
-        real = visible_words(text, self.words)
-        words = self.word_projection(text.tokens)
+    def _attend_to_words(
+        self, x: Float[Tensor, "b n w"], text: TextFeatures, project: nn.Linear
+    ) -> Float[Tensor, "b n w"]:
+        features, real = visible_words(text, self.words)
+        words = project(features)
         for block in self.cross_blocks:
             x = block(x, real, words)
         return x

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from kinema.types import TextFeatures
@@ -18,8 +18,8 @@ def check_words(words: str) -> str:
     return words
 
 
-def visible_words(text: TextFeatures, words: str) -> Bool[Tensor, "b l"] | None:
-    """Return the mask of visible words, None where all are.
+def visible_words(text: TextFeatures, words: str) -> tuple[Float[Tensor, "b l t"], Bool[Tensor, "b l"] | None]:
+    """Return the words' features and the mask of the visible ones, None where all are.
 
     Raises ValueError for features without words, and for words="all" where some are padding: a batch's own padding
     would make a sample depend on its neighbours.
@@ -35,5 +35,5 @@ def visible_words(text: TextFeatures, words: str) -> Bool[Tensor, "b l"] | None:
                 "words='all' reads all positions, but these text features are padded to the batch's longest text; use "
                 "text=clip_b32_77, or words='real'"
             )
-        return None
-    return text.token_mask
+        return text.tokens, None
+    return text.tokens, text.token_mask
