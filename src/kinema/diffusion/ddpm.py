@@ -26,6 +26,9 @@ class DDPM(nn.Module):
     "dpmpp_2m", over all steps or fewer (see `spaced_timesteps`).
     """
 
+    signal: Tensor
+    noise: Tensor
+
     def __init__(
         self,
         steps: int = 50,
@@ -101,7 +104,7 @@ class DDPM(nn.Module):
 
         `temperature` scales the step noise; `clip` holds the estimate of the clean data inside (min, max) at every
         step, which an undertrained epsilon model needs: the first step of the cosine schedule multiplies its error
-        by 1015. `known` (values, mask) replaces the estimate where the mask is True (MDM §5).
+        by 32. `known` (values, mask) replaces the estimate where the mask is True (MDM §5).
         """
         solver, schedule = self.resolve(solver, steps)
         if solver != "ancestral" and temperature != 1:
