@@ -13,5 +13,5 @@ def per_sequence(errors: Float[Tensor, "b t *d"], mask: Bool[Tensor, "b t"]) -> 
 
 
 def per_frame(errors: Float[Tensor, "b t *d"], mask: Bool[Tensor, "b t"]) -> Float[Tensor, " m"]:
-    """Average over the dims of each real frame; their mean weighs sequences by length (MotionDiffuse, Diffusion)."""
+    """Average over the dims of each real frame; their mean weighs sequences by length (MotionDiffuse)."""
     return errors.flatten(2).mean(dim=2)[mask]
