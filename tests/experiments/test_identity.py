@@ -143,7 +143,7 @@ def folder(stage: str, *overrides: str) -> Path:
         ("generator", ["scale=tiny", "seed=3", "data=synthetic_kit"], "mardm_sit-xl-essential-synthetic_kit-tiny-s3-"),
         ("tokenizer", ["debug=steps"], "ae-essential-synthetic-smoke-debug-s0-"),
         ("residual", ["method=momask"], "momask_residual-published-synthetic-smoke-s0-"),
-        ("matching", ["evaluator=redundant"], "evaluator_redundant-published-synthetic-smoke-s0-"),
+        ("matching", ["evaluator=redundant"], "evaluator_redundant-redundant-synthetic-smoke-s0-"),
         ("length", [], "length-synthetic-smoke-s0-"),
     ],
 )

@@ -67,11 +67,7 @@ def describe(cfg: DictConfig) -> Row:
     identity = _identity(cfg, row, corpus)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     run = asked_for(cfg)
-    who = (
-        [cfg.method.name, cfg.generator.get("variant"), dims(cfg.representation.kind, cfg.representation.variant)]
-        if run is None
-        else [run.name]
-    )
+    who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
     return replace(row, folder=run_folder(cfg, "evaluation", label, fingerprint(identity)))
 

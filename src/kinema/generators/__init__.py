@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -13,6 +13,7 @@ from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
 
+@runtime_checkable
 class TrainingLatents(Protocol):
     """What can be asked of a corpus' latents before training."""
 

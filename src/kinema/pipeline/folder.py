@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
 from kinema.atomic import new_folder
-from kinema.generators import Generator, LatentModel
+from kinema.generators import Generator
 from kinema.pipeline.compatibility import check_representation
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder
@@ -29,7 +30,7 @@ from kinema.text.encoders import build_text_encoder
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
 
-Parts = tuple[MotionTokenizer, Generator, FrozenTextEncoder, dict[str, LatentModel], dict[str, Any]]
+Parts = tuple[MotionTokenizer, Generator, FrozenTextEncoder, dict[str, nn.Module], dict[str, Any]]
 """Tokenizer, generator, text encoder, what stands beside the generator, and the weights' metadata."""
 
 
@@ -60,7 +61,7 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
 def write_parts(
     path: Path,
     generator: Generator,
-    parts: Mapping[str, MotionTokenizer | LatentModel],
+    parts: Mapping[str, nn.Module],
     text: dict[str, Any],
     meta: dict[str, Any],
 ) -> None:
@@ -74,7 +75,7 @@ def write_parts(
         RunFolder(staging).mark("done")
 
 
-def _write(module: MotionTokenizer | LatentModel, folder: Path, part: str, **meta: Any) -> None:
+def _write(module: Any, folder: Path, part: str, **meta: Any) -> None:
     if module.spec is None:
         raise ValueError(
             f"this {type(module).__name__} has no spec to save with; set module.spec to what it was built from"

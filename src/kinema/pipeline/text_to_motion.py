@@ -11,10 +11,10 @@ from typing import Any, cast
 import numpy as np
 import torch
 from jaxtyping import Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from kinema.devices import find_device
-from kinema.generators import Generator, LatentModel
+from kinema.generators import Generator
 from kinema.generators.length import LengthEstimator
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
@@ -47,7 +47,7 @@ class TextToMotion:
         tokenizer: MotionTokenizer,
         generator: Generator,
         text_encoder: FrozenTextEncoder,
-        parts: Mapping[str, LatentModel] | None = None,
+        parts: Mapping[str, nn.Module] | None = None,
         meta: dict[str, Any] | None = None,
     ) -> None:
         check_pair(tokenizer, generator)
@@ -269,7 +269,7 @@ class TextToMotion:
                 raise ValueError(f"motion {i} holds NaN or infinite features; repair it before editing")
             check_length(len(motion.features), self.max_frames, self.skeleton.fps)
 
-    def _modules(self) -> list[MotionTokenizer | LatentModel]:
+    def _modules(self) -> list[nn.Module]:
         return [self.tokenizer, self.generator, *self.parts.values()]
 
     @contextmanager
@@ -301,6 +301,6 @@ class TextToMotion:
         if "text" not in self.meta:
             raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
         own = {"text": self.text_encoder.identity, "representation": self.tokenizer.representation.identity()}
-        parts: dict[str, MotionTokenizer | LatentModel] = {TOKENIZER: self.tokenizer, **self.parts}
+        parts: dict[str, nn.Module] = {TOKENIZER: self.tokenizer, **self.parts}
         write_parts(path, self.generator, parts, self.meta["text"], own)
         return path

@@ -7,7 +7,7 @@ resumed run, or one on more processes, sees the draws of an uninterrupted single
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from lightning.pytorch import LightningModule
@@ -29,12 +29,14 @@ class Unregistered:
         return self
 
 
+@runtime_checkable
 class LatentSource(Protocol):
     """Return the latents of a batch of crops (encoded, or looked up); what is drawn comes from `generator`."""
 
     def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents: ...
 
 
+@runtime_checkable
 class TextSource(Protocol):
     """Return the text features of strings."""
 

@@ -86,8 +86,9 @@ def asked_for(cfg: DictConfig, key: str = "run") -> Path | None:
     return find_run(run, cfg.paths.runs) if run else None
 
 
-def dims(kind: str, variant: str) -> str:
-    """Name a representation as its option is called."""
+def dims(cfg: DictConfig) -> str:
+    """Name the method's representation as its option is called."""
+    kind, variant = cfg.representation.kind, cfg.representation.variant
     return variant if (kind, variant) == ("redundant", "published") else kind
 
 

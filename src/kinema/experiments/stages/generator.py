@@ -30,11 +30,7 @@ class GeneratorStage(ConditionedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the method, its generator's size or variant, and its dims; methods of a family share their runs."""
-        words = [
-            cfg.method.get("family", cfg.method.name),
-            cfg.generator.get("variant"),
-            dims(cfg.representation.kind, cfg.representation.variant),
-        ]
+        words = [cfg.method.get("family", cfg.method.name), cfg.generator.get("variant"), dims(cfg)]
         return "-".join(word for word in words if word)
 
     def spec(self, cfg: DictConfig) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
 from kinema.evaluation.encoders.base import Vocabulary
-from kinema.experiments.stages.base import asked_for, dims
+from kinema.experiments.stages.base import asked_for
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.runs.folder import RunFolder
 
@@ -23,7 +23,7 @@ class EvaluatorStage(FittedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the evaluator and its dims."""
-        return f"evaluator_{cfg.evaluator.name}-{dims(cfg.evaluator.representation, cfg.evaluator.variant)}"
+        return f"evaluator_{cfg.evaluator.name}-{cfg.evaluator.representation}"
 
     def dims(self, cfg: DictConfig) -> str:
         """Name the columns that the evaluator reads."""

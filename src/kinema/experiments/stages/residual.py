@@ -20,7 +20,7 @@ class ResidualStage(ConditionedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the transformer and its dims."""
-        return f"{cfg.residual.name}_residual-{dims(cfg.representation.kind, cfg.representation.variant)}"
+        return f"{cfg.residual.name}_residual-{dims(cfg)}"
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
         """Check that it fits its generator too."""

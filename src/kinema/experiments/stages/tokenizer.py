@@ -20,7 +20,7 @@ class TokenizerStage(FittedStage):
 
     def label(self, cfg: DictConfig) -> str:
         """Name the tokenizer and its dims."""
-        return f"{cfg.tokenizer.name}-{dims(cfg.representation.kind, cfg.representation.variant)}"
+        return f"{cfg.tokenizer.name}-{dims(cfg)}"
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run that `tokenizer_run=` names, or the one of the run that `run=` names (it may be that one)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -64,6 +64,7 @@ class BammSampling:
         return SeededDraws(seeds) if self.temperature else Greedy(seeds)
 
 
+@runtime_checkable
 class Slots(Protocol):
     """What decoding needs of a model; calling it gives all positions' logits."""
 
