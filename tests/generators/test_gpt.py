@@ -11,6 +11,7 @@ from kinema.decoding.draws import SeededDraws
 from kinema.generators.gpt.model import T2MGPT
 from kinema.generators.gpt.sampling import GptSampling
 from kinema.generators.gpt.training import GptDraws, corrupt
+from kinema.generators.lengths import requested_lengths
 from kinema.generators.tokens.targets import targets
 from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
@@ -409,7 +410,7 @@ def test_errors_name_what_does_not_fit():
     with pytest.raises(ValueError, match="cannot generate 52 frames; give 4 to 48 frames"):
         model.sample(text(), torch.tensor([48, 52, 20]), seeds=SEEDS)
     with pytest.raises(ValueError, match="2 seeds; give one of each per sample"):
-        model.sample(text(), FRAMES, seeds=SEEDS[:2])
+        requested_lengths(model.space, text(), FRAMES, SEEDS[:2], None, device=torch.device("cpu"))
     with pytest.raises(ValueError, match="token id 10 is out of range"):
         model.loss(replace(latents(), codes=latents().codes.masked_fill(latents().codes == 9, 10)), text())
     with pytest.raises(ValueError, match="known latents have lengths"):

@@ -13,7 +13,7 @@ def requested_lengths(
     space: LatentSpace,
     text: TextFeatures,
     frames: Int[Tensor, " b"] | None,
-    seeds: Int[Tensor, " b"],
+    seeds: Int[Tensor, " s"],
     known: Known | None,
     *,
     device: torch.device,

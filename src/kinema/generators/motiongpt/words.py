@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 from torch import Tensor, nn
 
 from kinema.text.files import INSTALL, minilm_folder, require
@@ -52,11 +52,11 @@ class Words(nn.Module):
         ids[mask] = torch.tensor([word for row in rows for word in row])
         return ids.to(device), mask.to(device)
 
-    def get_extra_state(self) -> Int[Tensor, " n"]:
+    def get_extra_state(self) -> UInt8[Tensor, " n"]:
         """Return the tokenizer's JSON as bytes."""
         return torch.frombuffer(bytearray(self.tokenizer.to_str().encode()), dtype=torch.uint8)
 
-    def set_extra_state(self, state: Int[Tensor, " n"]) -> None:
+    def set_extra_state(self, state: UInt8[Tensor, " n"]) -> None:
         """Take the tokenizer from bytes."""
         self._tokenizer = self._prepare(state.cpu().numpy().tobytes().decode())
 
