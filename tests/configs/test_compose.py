@@ -86,7 +86,7 @@ def test_every_option_composes_and_resolves(row, scale):
 def test_every_part_builds_where_it_fits(group, option):
     choice = (*OFFLINE, *fitting(group, option), f"{group}={option}", "scale=paper")
     resolved(*choice)
-    assert size(stage_model(group, cfg=composed(*choice))) > 0
+    assert size(stage_model(group, cfg=composed(*choice))) > 0 or option == "frames"
 
 
 @pytest.mark.parametrize("corpus", CORPORA)
@@ -95,7 +95,7 @@ def test_every_part_builds_where_it_fits(group, option):
 def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, corpus):
     cfg = composed(*OFFLINE, f"method={method}", f"scale={scale}", f"data={corpus}")
     models = {name: stage_model(name, cfg=cfg) for name, stage in stages().items() if stage.present(cfg)}
-    assert all(size(model) > 0 for model in models.values())
+    assert all(size(model) > 0 or get_stage(name).config(cfg).train is None for name, model in models.items())
     assert cfg.generator.get("predicts_length", False) == models["generator"].predicts_length
     for name in {"generator", "residual"} & models.keys():
         check_pair(models["tokenizer"], models[name])
@@ -124,6 +124,10 @@ SIZES = {
     "momask": (CONV, 12_048_768),
     "bamm": (CONV, 12_049_665 - 512),
     "motiongpt": (CONV, 247_577_856 + 2 * (32_615 - 32_128) * 768),
+    # MDM §2 and MotionDiffuse say 17.88 and 87.15 millions; frames have no tokenizer.
+    "mdm": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
+    "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
+    "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
 }
 
 
@@ -339,7 +343,42 @@ MOTIONGPT = {
     **under("generator.sampling", temperature=1.0, top_k=50),
     "method.lengths": "predicted",
 }
+
+# MDM §2-§4
+MDM = {
+    "representation.kind": "redundant",
+    "representation.variant": "raw",
+    "tokenizer.train": None,
+    **under("generator.model", width=512, feedforward=1024, layers=8, heads=4, dropout=0.1, condition_drop=0.1),
+    **under("generator.model", frame_dim=(263, 251), architecture="encoder", mask_frames=True),
+    **under("generator.model.process", steps=50, schedule="cosine", prediction="x0"),
+    **under("generator.train", batch_size=64, lr=1e-4, betas=[0.9, 0.999], weight_decay=0.0, warmup=0),
+    **under("generator.train", steps=600_000, milestones=[], decay="milestones", ema=0.9999, ema_warmup=False),
+    **under("generator.sampling", guidance=2.5, solver="ancestral", solver_steps=None),
+    "method.lengths": "real",
+}
+MDM_1000 = MDM | {
+    "generator.model.mask_frames": False,
+    "generator.model.process.steps": 1000,
+    **under("generator.train", steps=(475_000, 400_000), ema=None),
+}
+# MotionDiffuse
+MOTIONDIFFUSE = {
+    "representation.kind": "redundant",
+    "representation.variant": "published",
+    "tokenizer.train": None,
+    **under("generator.model", width=512, feedforward=1024, layers=8, heads=8, dropout=0.0, attention="linear"),
+    **under("generator.model", text_width=256, text_feedforward=2048, text_layers=4, text_heads=4, condition_drop=0.0),
+    **under("generator.model.process", steps=1000, schedule="linear"),
+    **under("generator.train", batch_size=1024, epochs=50 * 200, lr=2e-4, weight_decay=0.0, clip=0.5, ema=None),
+    **under("generator.sampling", guidance=1.0, solver="ancestral", solver_steps=None),
+    "generator.reads_tokens": True,
+    "method.lengths": "real",
+}
 PAPERS = {
+    "mdm": MDM,
+    "mdm_1000": MDM_1000,
+    "motiondiffuse": MOTIONDIFFUSE,
     "mardm_ddpm": MARDM,
     "mardm_sit": MARDM,
     "t2m_gpt": T2M_GPT,

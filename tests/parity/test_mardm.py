@@ -127,6 +127,7 @@ def guided_mlp(mlp: DiffusionMLP, z: Tensor, golden: dict[str, Tensor], name: st
     return golden["rng.cfg.noise0"], guided(mlp, z[:4], z[4:], 4.5)
 
 
+@pytest.mark.filterwarnings("ignore:.*multiplies the error of epsilon")
 @pytest.mark.parametrize("name", DDPM_SAMPLES)
 def test_ddpm_samples(golden_file, name):
     golden, mlp, seen = read(golden_file, "ddpm_sample"), load_mlp(golden_file, "ddpm"), []

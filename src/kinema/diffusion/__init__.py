@@ -1,1 +1,1 @@
-"""Hold the generative processes (DDPM, flow): schedules, solvers and guidance over a `predict` callable."""
+"""Hold the generative processes: noise schedules, DDPM and flow, their solvers, guidance, noise and masked errors."""

@@ -1,28 +1,33 @@
-"""Diffuse over discrete steps: the training loss and the ancestral and DDIM samplers."""
+"""Diffuse over discrete steps: the noise and the error of training, and sampling by a choice of solvers."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from kinema.diffusion.denoising import ODE_SOLVERS, ancestral
 from kinema.diffusion.guidance import Predict
+from kinema.diffusion.predictions import PREDICTIONS
 from kinema.diffusion.schedules import Schedule, make_schedule
 
-SOLVERS = ("ancestral", "ddim")
-PREDICTIONS = ("epsilon", "x0")
+SOLVERS = ("ancestral", *ODE_SOLVERS)
+MOST_AMPLIFICATION = 20.0
+"""The sigma / signal from which an ODE solver starts with a model of epsilon: MLD's is 14, a cosine's end 1015."""
 
 
 class DDPM(nn.Module):
     """Denoising diffusion with a fixed small (posterior) variance (MARDM §5; time runs from T-1, noise, to 0).
 
-    Solvers: "ancestral" (default) and "ddim" (without noise), over all steps or fewer (see `spaced_timesteps`).
+    Predictions: "epsilon", "x0", "velocity". Solvers: "ancestral" (default), and without noise "ddim", "heun" and
+    "dpmpp_2m", over all steps or fewer (see `spaced_timesteps`).
     """
 
-    signal: Float[Tensor, " t"]
-    noise: Float[Tensor, " t"]
+    signal: Tensor
+    noise: Tensor
 
     def __init__(
         self,
@@ -43,25 +48,46 @@ class DDPM(nn.Module):
         """Draw training times: uniform over the steps."""
         return torch.randint(len(self.schedule.betas), shape, generator=generator, device=device)
 
+    def progress(self, time: Tensor) -> float:
+        """Return how far from noise (0) to data (1) one time is."""
+        return 1 - (time.item() + 1) / len(self.schedule.betas)
+
     def add_noise(self, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]) -> Float[Tensor, "n *d"]:
         """Noise clean data: sqrt(abar_t) x1 + sqrt(1 - abar_t) noise."""
-        shape = (-1,) + (1,) * (x1.ndim - 1)
-        return self.signal[time].view(shape) * x1 + self.noise[time].view(shape) * noise
+        signal, sigma = self._levels(x1, time)
+        return signal * x1 + sigma * noise
+
+    def errors(
+        self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
+    ) -> Float[Tensor, "n *d"]:
+        """Return the squared errors of the prediction, to be averaged by `loss` or over what is no padding."""
+        output = predict(self.add_noise(x1, time, noise), time)
+        return (output - PREDICTIONS[self.prediction].target(x1, noise, *self._levels(x1, time))).square()
 
     def loss(
         self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
         """Return the squared error of the prediction per row, averaged over its dims."""
-        output = predict(self.add_noise(x1, time, noise), time)
-        target = noise if self.prediction == "epsilon" else x1
-        return (output - target).square().flatten(1).mean(dim=1)
+        return self.errors(predict, x1, time, noise).flatten(1).mean(dim=1)
 
     def resolve(self, solver: str | None, steps: int | str | None) -> tuple[str, Schedule]:
-        """Check a choice of solver and steps, fill in the defaults and respace the schedule."""
+        """Check a choice of solver and steps, fill in the defaults and respace the schedule.
+
+        A model of epsilon multiplies its error by sigma / signal, and an ODE solver adds no noise to forget it in: a
+        count of steps is spread over the timesteps where this is at most `MOST_AMPLIFICATION`, any other choice that
+        goes beyond is taken with a warning.
+        """
         solver = solver or "ancestral"
         if solver not in SOLVERS:
             raise ValueError(f"solver {solver!r} is unknown to DDPM; choose one of {', '.join(SOLVERS)}")
-        return solver, self.schedule if steps is None else self.schedule.respace(steps)
+        exposed = solver in ODE_SOLVERS and PREDICTIONS[self.prediction].amplifies
+        schedule = self.schedule
+        if exposed and str(steps).isdecimal():
+            schedule = schedule.below(MOST_AMPLIFICATION)
+        schedule = schedule if steps is None else schedule.respace(steps)
+        if exposed and schedule.amplification[-1] > MOST_AMPLIFICATION:
+            _warn(solver, schedule)
+        return solver, schedule
 
     def sample(
         self,
@@ -72,41 +98,37 @@ class DDPM(nn.Module):
         steps: int | str | None = None,
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
+        known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,
     ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: `noise` yields the start, then (ancestral) one draw per step but the last.
 
         `temperature` scales the step noise; `clip` holds the estimate of the clean data inside (min, max) at every
         step, which an undertrained epsilon model needs: the first step of the cosine schedule multiplies its error
-        by 32.
+        by 32. `known` (values, mask) replaces the estimate where the mask is True (MDM §5).
         """
         solver, schedule = self.resolve(solver, steps)
-        if solver == "ddim" and temperature != 1:
-            raise ValueError(f"temperature {temperature} has no effect on 'ddim'; use 1.0 or solver 'ancestral'")
-        x = next(noise)
-        for k in reversed(range(len(schedule.betas))):
-            x0 = self._clean(predict, x, schedule, k)
-            if clip is not None:
-                x0 = x0.clamp(*clip)
-            x = ddim_step(schedule, k, x, x0) if solver == "ddim" else posterior_mean(schedule, k, x, x0)
-            if solver == "ancestral" and k > 0:
-                x = x + temperature * schedule.posterior_variance[k].sqrt().item() * next(noise)
-        return x
+        if solver != "ancestral" and temperature != 1:
+            raise ValueError(f"temperature {temperature} has no effect on {solver!r}; use 1.0 or solver 'ancestral'")
 
-    def _clean(self, predict: Predict, x: Tensor, schedule: Schedule, k: int) -> Tensor:
-        output = predict(x, x.new_full((1,), float(schedule.timesteps[k])))
-        if self.prediction == "x0":
-            return output
-        alpha_bar = schedule.alphas_cumprod[k].item()
-        return alpha_bar**-0.5 * x - (1 / alpha_bar - 1) ** 0.5 * output
+        def clean(x: Tensor, k: int) -> Tensor:
+            output = predict(x, x.new_full((1,), float(schedule.timesteps[k])))
+            x0 = PREDICTIONS[self.prediction].clean(x, output, schedule.alphas_cumprod[k].item())
+            x0 = x0 if clip is None else x0.clamp(*clip)
+            return x0 if known is None else torch.where(known[1], known[0], x0)
+
+        if solver == "ancestral":
+            return ancestral(schedule, clean, noise, temperature)
+        return ODE_SOLVERS[solver](schedule, clean, next(noise))
+
+    def _levels(self, x: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        shape = (-1,) + (1,) * (x.ndim - 1)
+        return self.signal[time].view(shape), self.noise[time].view(shape)
 
 
-def posterior_mean(schedule: Schedule, k: int, x: Tensor, x0: Tensor) -> Tensor:
-    """Return the mean of q(x_{k-1} | x_k, x0)."""
-    return schedule.posterior_mean_coef1[k].item() * x0 + schedule.posterior_mean_coef2[k].item() * x
-
-
-def ddim_step(schedule: Schedule, k: int, x: Tensor, x0: Tensor) -> Tensor:
-    """Step without noise (eta 0) along the noise direction that (x, x0) imply."""
-    alpha_bar, before = schedule.alphas_cumprod[k].item(), schedule.alphas_cumprod_prev[k].item()
-    epsilon = (x - alpha_bar**0.5 * x0) / (1 - alpha_bar) ** 0.5
-    return before**0.5 * x0 + (1 - before) ** 0.5 * epsilon
+def _warn(solver: str, schedule: Schedule) -> None:
+    warnings.warn(
+        f"{solver!r} starts at timestep {schedule.timesteps[-1]}, which multiplies the error of epsilon by "
+        f"{schedule.amplification[-1]:.0f}, and adds no noise to forget it in: samples may be far off; give a count of "
+        "steps, which leaves such timesteps out, or solver 'ancestral'",
+        stacklevel=4,
+    )

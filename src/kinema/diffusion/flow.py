@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.diffusion.guidance import Predict
@@ -39,12 +39,22 @@ class Flow(nn.Module):
         time = time.view((-1,) + (1,) * (x1.ndim - 1))
         return time * x1 + (1 - time) * noise
 
+    def progress(self, time: Tensor) -> float:
+        """Return how far from noise (0) to data (1) one time is."""
+        return time.item()
+
+    def errors(
+        self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
+    ) -> Float[Tensor, "n *d"]:
+        """Return the squared errors of the velocity, to be averaged by `loss` or over what is no padding."""
+        output = predict(self.add_noise(x1, time, noise), time)
+        return (output - (x1 - noise)).square()
+
     def loss(
         self, predict: Predict, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]
     ) -> Float[Tensor, " n"]:
         """Return the squared error of the velocity per row, averaged over its dims."""
-        output = predict(self.add_noise(x1, time, noise), time)
-        return (output - (x1 - noise)).square().flatten(1).mean(dim=1)
+        return self.errors(predict, x1, time, noise).flatten(1).mean(dim=1)
 
     def sample(
         self,
@@ -55,14 +65,17 @@ class Flow(nn.Module):
         steps: int | str | None = None,
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
+        known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,
     ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: `noise` yields the start, then ("sde") one draw per step but the last.
 
-        `temperature` scales the SDE's noise; `clip` holds the result inside (min, max).
+        `temperature` scales the SDE's noise; `clip` holds the result inside (min, max). Where the mask of `known`
+        (values, mask) is True, the velocity is that which leads to its values.
         """
         solver, steps = self.resolve(solver, steps)
         if solver != "sde" and temperature != 1:
             raise ValueError(f"temperature {temperature} has no effect on the ODE solver {solver!r}; use 1.0 or 'sde'")
+        predict = predict if known is None else leading_to(*known, predict)
         if solver == "sde":
             x = euler_maruyama(predict, noise, steps, temperature)
         elif solver == "dopri5":
@@ -70,6 +83,11 @@ class Flow(nn.Module):
         else:
             x = integrate(predict, next(noise), solver=solver, steps=steps)
         return x if clip is None else x.clamp(*clip)
+
+
+def leading_to(values: Float[Tensor, "n *d"], mask: Bool[Tensor, "n *d"], predict: Predict) -> Predict:
+    """Replace the velocity where the mask is True by (values - x) / (1 - t), which arrives at the values."""
+    return lambda x, t: torch.where(mask, (values - x) / (1 - t).clamp(min=1e-3), predict(x, t))
 
 
 def score(x: Tensor, velocity: Tensor, t: float) -> Tensor:

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from kinema.interop.autoencoder import conv_rules
 from kinema.interop.checkpoint import Rules, count, require
-from kinema.interop.momask import split_attention
 from kinema.interop.representation import fit_statistics
+from kinema.interop.torch_layers import split_attention
 from kinema.interop.vq import network, transfer_codes
 
 KIND = "attt2m-vq"

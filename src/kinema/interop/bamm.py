@@ -18,8 +18,8 @@ from kinema.interop.momask import (
     encoder_names,
     encoder_spec,
     export_encoder,
-    split_attention,
 )
+from kinema.interop.torch_layers import split_attention
 from kinema.nn.embeddings import sinusoidal_positions
 
 

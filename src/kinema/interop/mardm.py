@@ -11,18 +11,19 @@ from torch import Tensor, nn
 
 from kinema.generators.mar.model import MARDM
 from kinema.interop.checkpoint import count, require, transfer
+from kinema.interop.torch_layers import stack, tensors
 from kinema.nn.embeddings import sinusoidal_positions
 
 VARIANTS = {"ddpm": "kinema.diffusion.ddpm.DDPM", "sit": "kinema.diffusion.flow.Flow"}
 POSITIONS = 5000
 
-# Published name -> ours, of layers that hold a weight and a bias; {} is the layer's index.
+# Published name -> ours, of layers that hold a weight and a bias.
 TRANSFORMER = {"input_process.poseEmbedding": "input_projection", "cond_emb": "text_projection"}
 TRANSFORMER_BLOCK = {
-    **{f"MARTransformer.{{}}.attn.{p}": f"blocks.{{}}.attention.{p}" for p in ("query", "key", "value", "proj")},
-    "MARTransformer.{}.mlp.fc1": "blocks.{}.mlp.0",
-    "MARTransformer.{}.mlp.fc2": "blocks.{}.mlp.2",
-    "MARTransformer.{}.adaLN_modulation.1": "blocks.{}.modulation.1",
+    **{f"attn.{p}": f"attention.{p}" for p in ("query", "key", "value", "proj")},
+    "mlp.fc1": "mlp.0",
+    "mlp.fc2": "mlp.2",
+    "adaLN_modulation.1": "modulation.1",
 }
 MLP = {
     "net.input_proj": "input_projection",
@@ -33,21 +34,21 @@ MLP = {
     "net.final_layer.adaLN_modulation.1": "final.modulation",
 }
 MLP_BLOCK = {
-    "net.res_blocks.{}.in_ln": "blocks.{}.norm",
-    "net.res_blocks.{}.mlp.0": "blocks.{}.mlp.0",
-    "net.res_blocks.{}.mlp.2": "blocks.{}.mlp.2",
-    "net.res_blocks.{}.adaLN_modulation.1": "blocks.{}.modulation",
+    "in_ln": "norm",
+    "mlp.0": "mlp.0",
+    "mlp.2": "mlp.2",
+    "adaLN_modulation.1": "modulation",
 }
 
 
 def mlp_names(depth: int) -> dict[str, str]:
     """Map the diffusion MLP's published keys to ours."""
-    return _tensors(MLP | _indexed(MLP_BLOCK, depth))
+    return tensors(MLP | stack(MLP_BLOCK, "net.res_blocks", "blocks", depth))
 
 
 def names(layers: int, depth: int) -> dict[str, str]:
     """Map all published keys with tensors of the same shape to ours."""
-    transformer = _tensors(TRANSFORMER | _indexed(TRANSFORMER_BLOCK, layers))
+    transformer = tensors(TRANSFORMER | stack(TRANSFORMER_BLOCK, "MARTransformer", "blocks", layers))
     return transformer | {f"DiffMLPs.{theirs}": f"mlp.{ours}" for theirs, ours in mlp_names(depth).items()}
 
 
@@ -103,11 +104,3 @@ def export(model: MARDM) -> dict[str, Tensor]:
     width = model.input_projection.out_features
     positions = sinusoidal_positions(POSITIONS, width, model.mask_latent.device)
     return state | {"mask_latent": own["mask_latent"][None, None], "position_enc.pe": positions[:, None]}
-
-
-def _indexed(block: Mapping[str, str], count: int) -> dict[str, str]:
-    return {theirs.format(i): ours.format(i) for i in range(count) for theirs, ours in block.items()}
-
-
-def _tensors(layers: Mapping[str, str]) -> dict[str, str]:
-    return {f"{theirs}.{t}": f"{ours}.{t}" for theirs, ours in layers.items() for t in ("weight", "bias")}

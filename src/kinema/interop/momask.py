@@ -6,16 +6,15 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import torch
 from torch import Tensor, nn
 
 from kinema.generators.momask.model import MoMask
 from kinema.generators.tokens.encoder import TokenEncoder
 from kinema.interop.checkpoint import Rules, count, require, transfer
+from kinema.interop.torch_layers import ENCODER_LAYER, fuse_attention, split_attention, stack, tensors
 from kinema.nn.embeddings import sinusoidal_positions
 
 POSITIONS = 5000
-FUSED = ("query", "key", "value")
 
 # Published name -> ours, of layers that hold a weight and a bias; {} is the layer's index.
 ENCODER = {
@@ -25,22 +24,12 @@ ENCODER = {
     "output_process.LayerNorm": "output.2",
     "output_process.poseFinal": "output.3",
 }
-ENCODER_BLOCK = {
-    **{f"seqTransEncoder.layers.{{}}.self_attn.{part}": f"blocks.{{}}.attention.{part}" for part in FUSED},
-    "seqTransEncoder.layers.{}.self_attn.out_proj": "blocks.{}.attention.proj",
-    "seqTransEncoder.layers.{}.linear1": "blocks.{}.mlp.0",
-    "seqTransEncoder.layers.{}.linear2": "blocks.{}.mlp.3",
-    "seqTransEncoder.layers.{}.norm1": "blocks.{}.norm1",
-    "seqTransEncoder.layers.{}.norm2": "blocks.{}.norm2",
-}
 
 
 def encoder_names(layers: int) -> dict[str, str]:
     """Map the keys of the shared encoder, its attentions split, to ours in a module that holds it as `encoder`."""
-    parts = ENCODER | {
-        theirs.format(i): ours.format(i) for i in range(layers) for theirs, ours in ENCODER_BLOCK.items()
-    }
-    return {f"{theirs}.{t}": f"encoder.{ours}.{t}" for theirs, ours in parts.items() for t in ("weight", "bias")}
+    parts = ENCODER | stack(ENCODER_LAYER, "seqTransEncoder.layers", "blocks", layers)
+    return {theirs: f"encoder.{ours}" for theirs, ours in tensors(parts).items()}
 
 
 def encoder_rules(layers: int) -> Rules:
@@ -60,28 +49,14 @@ def encoder_spec(state: Mapping[str, Tensor], kind: str) -> dict[str, int]:
     }
 
 
-def split_attention(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Split each fused `in_proj` into the projections of query, key and value."""
-    split: dict[str, Tensor] = {}
-    for key, value in state.items():
-        attention, fused, tensor = key.rpartition(".in_proj_")
-        if fused:
-            split |= {f"{attention}.{part}.{tensor}": v for part, v in zip(FUSED, value.chunk(3), strict=True)}
-        else:
-            split[key] = value
-    return split
-
-
 def export_encoder(encoder: TokenEncoder) -> dict[str, Tensor]:
     """Return the shared encoder's weights under the published keys, the table of positions included."""
     own, layers = encoder.state_dict(), len(encoder.blocks)
     state = {theirs: own[ours.removeprefix("encoder.")] for theirs, ours in encoder_names(layers).items()}
-    for i in range(layers):
-        stem = f"seqTransEncoder.layers.{i}.self_attn"
-        for tensor in ("weight", "bias"):
-            state[f"{stem}.in_proj_{tensor}"] = torch.cat([state.pop(f"{stem}.{part}.{tensor}") for part in FUSED])
     weight = encoder.input_projection.weight
-    return state | {"position_enc.pe": sinusoidal_positions(POSITIONS, len(weight), weight.device)[:, None]}
+    return fuse_attention(state) | {
+        "position_enc.pe": sinusoidal_positions(POSITIONS, len(weight), weight.device)[:, None]
+    }
 
 
 def load(

@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from kinema.generators.tokens.residual import ResidualTransformer
 from kinema.interop.checkpoint import require, transfer
-from kinema.interop.momask import encoder_rules, encoder_spec, export_encoder, split_attention
+from kinema.interop.momask import encoder_rules, encoder_spec, export_encoder
+from kinema.interop.torch_layers import split_attention
 
 SHARED = ("token_embed_weight_", "embed_proj_shared_weight", "output_proj_weight_")
 SEPARATE = ("token_embed_weight", "output_proj_weight", "output_proj_bias")

@@ -13,8 +13,13 @@ def sinusoidal_positions(
     length: int, width: int, device: torch.device | str | None = None
 ) -> Float[Tensor, "length width"]:
     """Make the interleaved table: sin on even, cos on odd channels, base 10000, positions 0..length-1."""
-    frequency = torch.exp(torch.arange(0, width, 2, device=device) * (-math.log(10000.0) / width))
-    angle = torch.arange(length, device=device)[:, None] * frequency
+    return interleaved_embedding(torch.arange(length, device=device), width)
+
+
+def interleaved_embedding(time: Shaped[Tensor, " n"], width: int) -> Float[Tensor, "n width"]:
+    """Embed times as rows of the interleaved table, which need not be whole numbers."""
+    frequency = torch.exp(torch.arange(0, width, 2, device=time.device) * (-math.log(10000.0) / width))
+    angle = time[:, None] * frequency
     return torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(1)[:, :width]
 
 

@@ -1,4 +1,4 @@
-"""Build the transformer blocks of the token methods: pre-norm (T2M-GPT, AttT2M, MMM, BAD), post-norm (MoMask, BAMM)."""
+"""Build the transformer blocks: pre-norm (T2M-GPT, AttT2M, MMM, BAD), post-norm (MoMask, BAMM, MDM, MotionDiffuse)."""
 
 from __future__ import annotations
 
@@ -56,6 +56,32 @@ class TransformerBlock(nn.Module):
         return self.norm2(x + self.mlp(x))
 
 
+class DecoderBlock(nn.Module):
+    """Attend to oneself, then to a context, then transform each position: torch's post-norm decoder layer (MDM §2).
+
+    Dropout acts as in a post-norm `TransformerBlock`.
+    """
+
+    def __init__(self, width: int, heads: int, feedforward: int, dropout: float = 0.0) -> None:
+        super().__init__()
+        self.block = TransformerBlock(width, heads, feedforward, dropout, norm="post")
+        self.cross = Attention(width, heads, dropout)
+        self.cross_norm = nn.LayerNorm(width)
+
+    def forward(
+        self,
+        x: Float[Tensor, "b q w"],
+        context: Float[Tensor, "b k w"],
+        mask: Bool[Tensor, "..."] | None = None,
+        context_mask: Bool[Tensor, "..."] | None = None,
+    ) -> Float[Tensor, "b q w"]:
+        """Transform `x`; masks over its own positions and over the context's as in `Attention`."""
+        block = self.block
+        x = block.norm1(x + block.attention(x, mask))
+        x = self.cross_norm(x + self.cross(x, context_mask, context))
+        return block.norm2(x + block.mlp(x))
+
+
 def run(
     blocks: Iterable[nn.Module],
     x: Float[Tensor, "b q w"],
@@ -66,6 +92,18 @@ def run(
     for i, block in enumerate(blocks):
         x = block(x, mask, cache=caches[i] if caches else None)
     return x
+
+
+def initialize_as_torch(blocks: nn.ModuleList) -> None:
+    """Start as torch's stacks of layers do: attention Xavier, its biases 0, all blocks copies of the first (MDM §2)."""
+    for part in blocks[0].modules():
+        if isinstance(part, Attention):
+            for layer in (part.query, part.key, part.value):
+                nn.init.xavier_uniform_(layer.weight, gain=2**-0.5)  # as the rows of one matrix three times as high
+                nn.init.zeros_(layer.bias)
+            nn.init.zeros_(part.proj.bias)
+    for block in blocks[1:]:
+        block.load_state_dict(blocks[0].state_dict())
 
 
 def initialize(module: nn.Module, std: float = 0.02) -> None:

@@ -17,7 +17,8 @@ from kinema.generators import Generator, TrainingLatents
 from kinema.generators.draws import share_of
 from kinema.generators.lengths import requested_lengths
 from kinema.generators.mar.sampling import MarSampling, plan, start
-from kinema.generators.mar.training import MarDraws, check_latents, corrupt, training_mask
+from kinema.generators.mar.training import MarDraws, corrupt, training_mask
+from kinema.generators.values import check_latents
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference

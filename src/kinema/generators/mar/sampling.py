@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.decoding.unmasking import UnmaskingStep, plan_unmasking
+from kinema.generators.values import check_known
 from kinema.masking import cosine_counts, lowest, masked_count
 from kinema.types import Known, Latents, LatentSpace, frame_mask
 
@@ -50,18 +51,7 @@ def start(space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None) -
     values = torch.zeros(len(lengths), positions, width, device=lengths.device)
     free = real
     if known is not None:
-        source = known.latents.values
-        if source is None or source.shape[2] != width or source.shape[:2] != known.mask.shape:
-            shape = "codes" if source is None else tuple(source.shape)
-            raise ValueError(
-                f"known latents are {shape} with a mask {tuple(known.mask.shape)}; "
-                f"give values (samples, positions, {width}) and one mask entry per position"
-            )
-        if not torch.equal(known.latents.lengths.to(lengths.device), lengths):
-            raise ValueError(
-                f"known latents have lengths {known.latents.lengths.tolist()} but {lengths.tolist()} are asked for; "
-                f"pass frames=None to keep the source's lengths"
-            )
+        source = check_known(known, lengths, width)
         values = torch.where(real[:, :, None], source[:, :positions].to(values), values)
         free = real & ~known.mask[:, :positions].to(real.device)
     return Latents(lengths=lengths, frames=space.frames_of(lengths), values=values), free

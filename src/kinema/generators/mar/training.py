@@ -12,7 +12,6 @@ from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.generators.draws import StepDraws
 from kinema.masking import cosine_ratio, masked_count
-from kinema.types import Latents, LatentSpace
 
 NOISE_SHARE = 0.1
 MASK_SHARE = 0.88
@@ -77,14 +76,3 @@ def corrupt(
     hidden = mask & ~draws.to_noise & draws.to_mask
     latents = torch.where(noised[..., None], draws.corruption.to(latents.dtype), latents)
     return torch.where(hidden[..., None], mask_latent.to(latents.dtype), latents)
-
-
-def check_latents(latents: Latents, space: LatentSpace) -> Float[Tensor, "b n c"]:
-    """Return a batch's values; raises ValueError for codes, another number of channels or too many positions."""
-    values, channels, most = latents.values, space.width, space.most
-    if values is None or values.shape[2] != channels:
-        found = "codes" if values is None else f"values of {values.shape[2]} channels"
-        raise ValueError(f"this generator was built for values of {channels} channels (latent_dim), not for {found}")
-    if values.shape[1] > most:
-        raise ValueError(f"{values.shape[1]} latents exceed max_latents={most}; raise it or crop the motions")
-    return values

@@ -1,0 +1,164 @@
+"""Diffuse whole sequences of frames under a text: the loss, the sampler and edits that all such methods share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn import functional as F
+
+from kinema.diffusion.ddpm import DDPM
+from kinema.diffusion.flow import Flow
+from kinema.diffusion.guidance import Predict, guided
+from kinema.diffusion.noise import sequence_noise
+from kinema.generators import Generator
+from kinema.generators.draws import share_of
+from kinema.generators.frames.denoiser import Denoiser
+from kinema.generators.frames.sampling import FrameSampling, Kept
+from kinema.generators.frames.training import FrameDraws, without_text
+from kinema.generators.lengths import requested_lengths
+from kinema.generators.values import check_latents
+from kinema.nn.mode import inference
+from kinema.nn.ranks import mean_over_ranks
+from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures, frame_mask
+
+Average = Callable[[Float[Tensor, "b n c"], Bool[Tensor, "b n"]], Float[Tensor, " m"]]
+"""Turn the errors of features, and the mask of real frames, into rows whose mean is the loss."""
+
+
+class FrameDiffusion(Generator):
+    """Diffuse frames of motion, `frame_dim` features each.
+
+    `mask_frames` hides padding from the frames; without it a motion is the start of one of `max_frames`, in training
+    and in sampling. `average` makes the rows of the loss: `per_sequence` or `per_frame`. `condition_drop` is the share
+    of texts that training drops; 0 leaves no empty text to be guided from.
+    """
+
+    def __init__(
+        self,
+        denoiser: Denoiser,
+        process: DDPM | Flow,
+        *,
+        frame_dim: int,
+        max_frames: int,
+        condition_drop: float,
+        mask_frames: bool,
+        average: Average,
+        sampling: FrameSampling,
+    ) -> None:
+        super().__init__()
+        self.space, self.frame_dim = LatentSpace("frames", frame_dim, max_frames, unit=1), frame_dim
+        self.denoiser, self.process, self.sampling = denoiser, process, sampling
+        self.condition_drop, self.mask_frames, self.average = condition_drop, mask_frames, average
+        self.check_sampling(sampling)
+
+    def check_sampling(self, sampling: FrameSampling) -> None:
+        """Refuse a solver of another process, and guidance that training gave no ground."""
+        super().check_sampling(sampling)
+        self.process.resolve(sampling.solver, sampling.solver_steps)
+        if sampling.guidance != 1 and not self.condition_drop:
+            raise ValueError(
+                f"sampling.guidance is {sampling.guidance}, but condition_drop=0 gave this model no empty text to be "
+                "guided from; sample with guidance=1"
+            )
+
+    def loss(
+        self,
+        latents: Latents,
+        text: TextFeatures,
+        *,
+        generator: torch.Generator | None = None,
+        shard: tuple[int, int] = (0, 1),
+        draws: FrameDraws | None = None,
+    ) -> Losses:
+        """Return the squared error of the prediction, averaged over features and over frames that are no padding.
+
+        Draws are made for the global batch, from `generator` (None: torch's own), of which this batch is the part
+        `shard` = (rank, world). Dropout is torch's own. `draws` replaces what is drawn (tests).
+        """
+        x1 = check_latents(latents, self.space).detach() * latents.mask[..., None]
+        if not self.mask_frames:
+            x1 = F.pad(x1, (0, 0, 0, self.space.most - x1.shape[1]))
+        draws = draws or self._draw(x1, generator, shard)
+        real = frame_mask(latents.lengths, x1.shape[1])
+        rows = self.average(self.errors(x1, text, draws, real), real)
+        return {"loss": mean_over_ranks(rows, shard[1])}
+
+    def errors(
+        self, x1: Float[Tensor, "b n c"], text: TextFeatures, draws: FrameDraws, real: Bool[Tensor, "b n"]
+    ) -> Float[Tensor, "b n c"]:
+        """Return the squared error of every feature of every frame."""
+        condition, seen = self.denoiser.read(without_text(text, draws.condition_drop))
+        shown = real if self.mask_frames else None
+        return self.process.errors(
+            lambda x, time: self.denoiser(x, time, condition, seen, shown), x1, draws.time, draws.noise
+        )
+
+    def sample(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: FrameSampling | None = None,
+        noise: Iterator[Float[Tensor, "b n c"]] | None = None,
+    ) -> Latents:
+        """Generate frames, or edit: regenerate the frames, or the features of them, that `known.mask` leaves free.
+
+        A sample depends on its own seed only. `frames` None takes the lengths of `known`. Kept features come back
+        bit-equal, padding is zero. `noise` replaces what the seeds draw: the start, then a draw per step (tests).
+        """
+        sampling = sampling or self.sampling
+        device = next(self.parameters()).device
+        lengths = requested_lengths(self.space, text, frames, seeds, known, device=device)
+        longest = int(lengths.max())
+        real = frame_mask(lengths, longest if self.mask_frames else self.space.most)
+        shown = real if self.mask_frames else None
+        drawn = real.sum(dim=1) if self.mask_frames else torch.full_like(lengths, self.space.most)
+        kept = None if known is None else Kept.of(known, lengths, real, self.frame_dim)
+        with inference(self):
+            values = self.process.sample(
+                self._predictor(text.to(device), shown, sampling),
+                noise or sequence_noise(seeds, drawn, self.frame_dim, device),
+                solver=sampling.solver,
+                steps=sampling.solver_steps,
+                temperature=sampling.temperature,
+                known=None if kept is None else (kept.values, kept.mask),
+            )
+        values = values if kept is None else kept.impose(values)
+        values = values.masked_fill(~real[..., None], 0.0)
+        return Latents(lengths=lengths, frames=lengths, values=values[:, :longest])
+
+    def _predictor(self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: FrameSampling) -> Predict:
+        """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
+        condition, seen = self.denoiser.read(text)
+        empty = None if sampling.guidance == 1 else self.denoiser.read(without_text(text))[0]
+        scale = 1.0 if empty is None else sampling.weights().along(self.process.progress)
+
+        def denoise(x: Tensor, time: Tensor, condition: Tensor) -> Tensor:
+            copies = len(condition) // len(text.pooled)
+            masks = (None if mask is None else mask.repeat(copies, 1) for mask in (seen, shown))
+            return self.denoiser(x, time, condition, *masks)
+
+        return guided(denoise, condition, empty, scale)
+
+    def _draw(
+        self, x1: Float[Tensor, "b n c"], generator: torch.Generator | None, shard: tuple[int, int]
+    ) -> FrameDraws:
+        batch, frames, features = x1.shape
+        drop = self.condition_drop if self.training else 0.0
+        return share_of(
+            lambda samples: FrameDraws.draw(
+                (samples, self.space.most, features),
+                self.process,
+                condition_drop=drop,
+                generator=generator,
+                device=x1.device,
+            ),
+            batch,
+            shard,
+            frames,
+        )
