@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from kinema import __version__, cli, interop
+from kinema.motion import body_parts
 from kinema.motion.formats.arrays import load_npy, load_npz
 from kinema.motion.skeleton import HUMANML3D
 
@@ -109,6 +110,12 @@ def test_generate_edit_and_look(run, capsys):
         assert np.array_equal(edited.features[20:], walk.features[20:])
         assert np.abs(edited.features[10:20] - walk.features[10:20]).max() > 1e-3
     capsys.readouterr()
+    for which, message in (
+        ([], "give --regenerate RANGES"),
+        (["--parts", "upper"], "needs a method that generates frames"),
+    ):
+        assert cli.main([*change, *which, "--out", "none.npz"]) == 2
+        assert message in capsys.readouterr().err
     assert cli.main(["info", str(run)]) == 0
     described = json.loads(capsys.readouterr().out)
     assert described["artifact"]["kinema"] == __version__
@@ -229,3 +236,4 @@ def test_help_needs_no_torch():
 
 def test_the_choices_are_those_that_exist():
     assert set(cli.KINDS) == set(interop.KINDS)
+    assert cli.PARTS == body_parts.PARTS

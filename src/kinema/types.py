@@ -154,6 +154,14 @@ class LatentSpace:
             )
         return self.unit
 
+    def in_frames(self, purpose: str) -> None:
+        """Raise ValueError where latents aren't frames, whose features have a meaning each."""
+        if self.kind != "frames":
+            raise ValueError(
+                f"{purpose} needs a method that generates frames (mdm, motiondiffuse, ...), but here latents are "
+                f"{self.kind}: a part of one is no part of the body"
+            )
+
 
 @dataclass
 class TextFeatures(_Movable):

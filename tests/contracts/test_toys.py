@@ -12,6 +12,7 @@ from torch import nn
 from kinema.data.datasets import ClipDataset
 from kinema.generators import Generator
 from kinema.generators.lengths import requested_lengths
+from kinema.motion.body_parts import columns_of
 from kinema.pipeline import TextToMotion
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.frames import Frames
@@ -96,6 +97,23 @@ def test_a_method_on_frames_generates_and_edits_to_the_frame(workshop, represent
         assert np.array_equal(result.features[kept], motion.features[kept])
         assert (result.features[5:18] != motion.features[5:18]).any(axis=1).all()
     assert len(model.chain(TEXTS, [37, 50], seed=1, transition=8).features) == 37 + 8 + 50
+
+
+def test_a_part_of_the_body_is_regenerated_and_the_rest_is_kept(workshop, representation):
+    model = held(workshop, Frames(representation))
+    motions = model.generate(TEXTS, [37, 50], seed=3)
+    for part, frames, spans in (("upper", None, [(0, 37), (0, 50)]), ("lower", [(5, 18)], [(5, 18), (5, 18)])):
+        columns = columns_of(part, model.skeleton)[: representation.width]
+        edited = model.edit(motions, "someone waves", frames, parts=part, seed=4)
+        for motion, result, (start, end) in zip(motions, edited, spans, strict=True):
+            new = np.zeros(motion.features.shape, dtype=bool)
+            new[start:end] = columns
+            assert np.array_equal(result.features[~new], motion.features[~new])
+            assert (result.features[new] != motion.features[new]).mean() > 0.99
+    with pytest.raises(ValueError, match=r"nothing to regenerate: give frames, or parts= one of upper, lower"):
+        model.edit(motions, "someone waves")
+    with pytest.raises(ValueError, match=r"unknown part of the body 'arms'; allowed: upper, lower"):
+        model.edit(motions, "someone waves", parts="arms")
 
 
 def test_features_of_a_frame_can_be_known_one_by_one(workshop, representation):

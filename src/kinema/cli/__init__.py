@@ -14,6 +14,7 @@ from kinema import __version__
 TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq", "frames")
 GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm", "mdm", "motiondiffuse")
 KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
+PARTS = ("upper", "lower")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
 EXPERIMENTS = {
     "train": ("kinema.experiments.entry:train", "fit a stage of a method or evaluator: stage=generator method=..."),
@@ -26,6 +27,10 @@ RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD fo
 RANGE_HELP = (
     "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
     "or prefix, suffix, inbetween, outpaint"
+)
+PARTS_HELP = (
+    "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
+    "legs and foot contacts (methods that generate frames: mdm, motiondiffuse, ...)"
 )
 
 
@@ -75,9 +80,10 @@ def _parser() -> argparse.ArgumentParser:
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument("--motion", required=True, help=".npz that generate wrote, or joints (T, J, 3) as .npy")
     change.add_argument("--text", required=True, help="what the person does")
-    which = change.add_mutually_exclusive_group(required=True)
+    which = change.add_mutually_exclusive_group()
     which.add_argument("--regenerate", metavar="RANGES", help=RANGE_HELP)
     which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
+    change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)

@@ -48,14 +48,26 @@ def generate(options: argparse.Namespace) -> None:
 
 def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
-    files = _files(options.out, 1)
+    files, given = _files(options.out, 1), options.regenerate or options.keep
+    if given is None and options.parts is None:
+        raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
     motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width)
-    size = len(motion.features)
-    ranges = parse_ranges(options.regenerate or options.keep, size, model.skeleton.fps)
-    if options.keep:
-        ranges = complement(ranges, size)
-    _write(model.edit(motion, options.text, [ranges], seed=options.seed, paste=not options.raw, **options.set), files)
+    frames = None
+    if given is not None:
+        size = len(motion.features)
+        ranges = parse_ranges(given, size, model.skeleton.fps)
+        frames = [complement(ranges, size) if options.keep else ranges]
+    made = model.edit(
+        motion,
+        options.text,
+        frames,
+        parts=options.parts,
+        seed=options.seed,
+        paste=not options.raw,
+        **options.set,
+    )
+    _write(made, files)
 
 
 def read_motion(path: str | Path, skeleton: Skeleton, width: int) -> Motion:

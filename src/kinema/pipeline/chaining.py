@@ -12,18 +12,21 @@ from kinema.types import Known, Latents, LatentSpace, frame_mask
 def bridges(parts: Latents, space: LatentSpace, transition: int, most: int) -> Known:
     """Make one window for each pair of neighbours: [last half | free latents | first half] (BAD §5).
 
-    A half is half of its part, less where the window would exceed `most` latents. Raises ValueError for a transition
-    that leaves no room for what it joins.
+    `transition` counts frames, and is rounded up to whole latents. A half is half of its part, less where the window
+    would exceed `most` latents. Raises ValueError for a transition that leaves no room for what it joins.
     """
-    half = (most - transition) // 2
+    free = space.latents_of(space.whole(transition))
+    half = (most - free) // 2
     if transition < 1 or half < 1:
-        raise ValueError(f"a transition of {transition} latents does not fit; allowed: 1 to {most - 2}")
+        raise ValueError(
+            f"a transition of {transition} frames does not fit; allowed: 1 to {space.frames_of(most - 2)} frames"
+        )
     left = (parts.lengths[:-1] // 2).clamp(1, half)
     right = (parts.lengths[1:] // 2).clamp(1, half)
-    lengths = left + transition + right
+    lengths = left + free + right
     position = torch.arange(int(lengths.max()), device=lengths.device)
     from_left = position - left[:, None] + parts.lengths[:-1, None]
-    from_right = position - (left + transition)[:, None]
+    from_right = position - (left + free)[:, None]
     is_left, is_right = from_left < parts.lengths[:-1, None], from_right >= 0
     keep = (is_left | is_right) & frame_mask(lengths, len(position))
     gathered = torch.where(

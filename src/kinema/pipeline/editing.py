@@ -1,4 +1,4 @@
-"""Say which frames an edit regenerates, and put the kept ones back: pure functions of frames and masks."""
+"""Say what an edit regenerates, and put what it keeps back: pure functions of frames, features and masks."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from kinema.motion.body_parts import columns_of
+from kinema.motion.skeleton import Skeleton
 from kinema.types import LatentSpace, Motion, MotionBatch
 
 Ranges = list[tuple[int, int]]
@@ -96,10 +98,18 @@ def kept_frames(kept: Bool[Tensor, "b n"], space: LatentSpace) -> Bool[Tensor, "
     return kept.repeat_interleave(space.in_time("keeping a part of a motion"), dim=1)
 
 
-def paste(result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b k"]) -> MotionBatch:
-    """Put the source's rows, of the result's columns, in the place of those that are kept."""
+def edited_features(frames: Bool[Tensor, "b t"], part: str, skeleton: Skeleton, width: int) -> Bool[Tensor, "b t d"]:
+    """Make a mask over the first `width` features that is True where an edit regenerates a part of the body."""
+    columns = torch.from_numpy(columns_of(part, skeleton)[:width]).to(frames.device)
+    return frames[..., None] & columns
+
+
+def paste(
+    result: MotionBatch, source: Float[Tensor, "b t d"], keep: Bool[Tensor, "b k"] | Bool[Tensor, "b k d"]
+) -> MotionBatch:
+    """Put what is kept of the source, rows or single features, in its place among the result's columns."""
     size, width = result.features.shape[1:]
-    kept = (keep[:, :size] & result.mask)[..., None]
+    kept = (keep if keep.ndim == 3 else keep[..., None])[:, :size] & result.mask[..., None]
     return replace(result, features=torch.where(kept, source[:, :size, :width], result.features))
 
 

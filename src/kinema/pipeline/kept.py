@@ -33,6 +33,17 @@ def encode_kept(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tens
     return Known(encoded.holding(content, lengths, lengths * unit), keep)
 
 
+def encode_kept_features(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tensor, "b n c"]) -> Known:
+    """Encode frames of which single features are kept (True); the others are zero.
+
+    Raises ValueError for latents that aren't frames.
+    """
+    tokenizer.space.in_frames("regenerating a part of the body")
+    latents = tokenizer.encode(motion)
+    keep = keep & latents.mask[..., None]
+    return Known(latents.holding(latents.content.masked_fill(~keep, 0.0), latents.lengths, latents.frames), keep)
+
+
 def stretches(keep: Bool[Tensor, "b n"]) -> tuple[Tensor, Tensor, Tensor]:
     """Find the unbroken stretches of True: their rows, first positions and ends, in the mask's order."""
     border = torch.zeros(len(keep), 1, dtype=torch.int8, device=keep.device)

@@ -16,16 +16,17 @@ from torch import Tensor, nn
 from kinema.devices import find_device
 from kinema.generators import Generator
 from kinema.generators.length import LengthEstimator
+from kinema.motion.body_parts import PARTS
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.pipeline.arguments import batches, check_length, frame_counts, paired
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
-from kinema.pipeline.editing import Ranges, edited_frames, kept_latents, resolve_ranges, stack_sources
-from kinema.pipeline.editing import paste as paste_rows
+from kinema.pipeline.editing import Ranges, edited_features, edited_frames, kept_latents, resolve_ranges, stack_sources
+from kinema.pipeline.editing import paste as paste_kept
 from kinema.pipeline.folder import read_parts, write_parts
-from kinema.pipeline.kept import encode_kept
+from kinema.pipeline.kept import encode_kept, encode_kept_features
 from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH, TOKENIZER
 from kinema.seeds import request_seeds
@@ -154,15 +155,15 @@ class TextToMotion:
         frames: int | Sequence[int] | None = None,
         *,
         seconds: float | Sequence[float] | None = None,
-        transition: int = 2,
+        transition: int = 8,
         seed: int | None = None,
         **sampling: Any,
     ) -> Motion:
-        """Generate one long motion: a part per text, joined by generated transitions of `transition` latents.
+        """Generate one long motion: a part per text, joined by generated transitions of `transition` frames.
 
         Each part is generated alone; between two neighbours the last half of the one and the first half of the other
-        are known and the latents between them are generated to the text of the first (BAD §5, MMM). All latents are
-        decoded at once. The motion may be longer than any clip of the training.
+        are known and what is between them, in whole latents, is generated to the text of the first (BAD §5, MMM). All
+        latents are decoded at once. The motion may be longer than any clip of the training.
         """
         texts = check_texts(list(texts))
         options, space = self._sampling(sampling), self.generator.space
@@ -188,8 +189,9 @@ class TextToMotion:
         self,
         motions: Motion | Sequence[Motion],
         texts: str | Sequence[str],
-        frames: str | Sequence[Any],
+        frames: str | Sequence[Any] | None = None,
         *,
+        parts: str | None = None,
         seed: int | None = None,
         batch_size: int = 32,
         paste: bool = True,
@@ -197,33 +199,44 @@ class TextToMotion:
     ) -> list[Motion]:
         """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
 
-        Kept feature rows come back bit-equal; the root is integrated from the rows, so that what follows an edit
-        moves on from where the edit ends. `paste=False` gives the raw decoding, which the papers' tables use.
+        `parts` ("upper" or "lower") regenerates that part of the body alone, in `frames` or (None) in the whole motion;
+        only methods that generate frames can. Kept features come back bit-equal; the root is integrated from the rows,
+        so that what follows an edit moves on from where the edit ends. `paste=False` gives the raw decoding, which the
+        papers' tables use. Raises ValueError if neither is given.
         """
         motions, texts = paired(motions, texts)
         options = self._sampling(sampling)
         self._check_sources(motions)
-        ranges = resolve_ranges(frames, [len(m.features) for m in motions])
+        if frames is None and parts is None:
+            raise ValueError(f"nothing to regenerate: give frames, or parts= one of {', '.join(PARTS)}")
+        if parts is not None:
+            self.tokenizer.space.in_frames("regenerating a part of the body")
+        sizes = [len(m.features) for m in motions]
+        ranges = [[(0, size)] for size in sizes] if frames is None else resolve_ranges(frames, sizes)
         seeds = request_seeds(seed, len(motions))
         edited = []
         with self._inference():
             for part in batches(len(motions), batch_size):
-                batch = self._edit_batch(motions[part], texts[part], ranges[part], seeds[part], options, paste)
+                source, counts, filled = stack_sources(
+                    motions[part], self.tokenizer.representation.width, self.tokenizer.space
+                )
+                whole = MotionBatch(source, filled).to(self.device)
+                keep, known = self._known(whole, ranges[part], parts)
+                text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
+                batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
+                batch = paste_kept(batch, whole.features, keep) if paste else batch
                 edited += self._motions(batch, texts[part], seeds[part])
         return edited
 
-    def _edit_batch(
-        self, motions: list[Motion], texts: list[str], ranges: list[Ranges], seeds: list[int], options: Any, paste: bool
-    ) -> MotionBatch:
-        space = self.tokenizer.space
-        source, counts, filled = stack_sources(motions, self.tokenizer.representation.width, space)
-        regenerate = edited_frames(ranges, source.shape[1])
-        source, regenerate = source.to(self.device), regenerate.to(self.device)
-        whole = MotionBatch(source, filled.to(self.device))
-        known = encode_kept(self.tokenizer, whole, kept_latents(regenerate, space))
-        text = self.text_encoder(texts)
-        result = self.sample(text, counts, seeds=torch.tensor(seeds), known=known, sampling=options)
-        return paste_rows(result, source, ~regenerate) if paste else result
+    def _known(self, source: MotionBatch, ranges: list[Ranges], parts: str | None) -> tuple[Tensor, Known]:
+        """Return what an edit keeps, as a mask over frames or single features and as latents."""
+        size, width = source.features.shape[1:]
+        regenerate = edited_frames(ranges, size).to(self.device)
+        if parts is None:
+            kept = kept_latents(regenerate, self.tokenizer.space)
+            return ~regenerate, encode_kept(self.tokenizer, source, kept)
+        keep = ~edited_features(regenerate, parts, self.skeleton, width)
+        return keep, encode_kept_features(self.tokenizer, source, keep)
 
     def _motions(self, batch: MotionBatch, texts: list[str], seeds: list[int]) -> list[Motion]:
         joints = recover_joints(batch.features, self.skeleton).cpu().numpy()
