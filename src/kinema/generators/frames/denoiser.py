@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from kinema.types import TextFeatures
 
-Read = tuple[Float[Tensor, "b l w"], Bool[Tensor, "b l"] | None]
-"""What was read of the text, and the mask of what the frames may see of it (None: all)."""
+Read = tuple[Float[Tensor, "b l w"], Bool[Tensor, "b m"] | None]
+"""What was read of the text, and the mask of the tokens that frames may see (None: all)."""
 
 
 class Denoiser(nn.Module, ABC):
@@ -29,7 +29,7 @@ class Denoiser(nn.Module, ABC):
         x: Float[Tensor, "b t d"],
         time: Tensor,
         condition: Float[Tensor, "b l w"],
-        seen: Bool[Tensor, "..."] | None = None,
+        seen: Bool[Tensor, "b m"] | None = None,
         real: Bool[Tensor, "b t"] | None = None,
     ) -> Float[Tensor, "b t d"]:
         """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding."""
