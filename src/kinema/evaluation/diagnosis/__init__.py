@@ -1,1 +1,1 @@
-"""Measure what MARDM §2 says of diffusion on motion features: marginals, deviations, errors and their amplification."""
+"""Measure what the MARDM paper (section 2) says of diffusion on motion features: marginals, deviations and errors."""

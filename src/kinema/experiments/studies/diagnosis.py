@@ -1,4 +1,4 @@
-"""Carry out the diagnosis of MARDM §2: statistics of the corpus alone first, then what trained runs add."""
+"""Carry out the diagnosis of the MARDM paper, section 2: statistics of the corpus first, then what trained runs add."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 DEFAULT = "default"
 QUALITIES = {"fid": "FID", "r3": "R@3"}
 COUNTS = {"denoiser_rows": "rows", "denoiser_calls": "calls", "transformer_rows": "transformer rows"}
-SHOWN = ("method", "solver", "steps", "rows", "calls", "transformer rows", "fid", "fid ±", "r3", "r3 ±", "fast")
+SHOWN = ("method", "solver", "steps", "rows", "calls", "transformer rows", "fid", "fid ±", "r3", "r3 ±", "n", "fast")
 
 
 def carry_out(
@@ -44,7 +44,7 @@ def carry_out(
     for row in rows:
         if not row.complete:
             console.print(f"[yellow]empty[/]     no complete results for {row.spec['label']}")
-    found = [results(row) for row in rows if row.complete]
+    found = [results(row) for row in rows if row.lines]
     for method in study["methods"]:
         mark_fast([row for row in found if row["method"] == method["label"] and row["solver"] != DEFAULT])
     shown = [{key: row.get(key) for key in SHOWN} for row in found]
@@ -76,7 +76,7 @@ def results(row: TableRow) -> dict[str, Any]:
     """Return one point: what it costs and how good it is."""
     spec, lines = row.spec, [line["metrics"] for line in row.lines]
     found = {"key": spec["key"], "method": spec["of"], "solver": spec.get("solver", DEFAULT)}
-    found |= {"steps": spec.get("steps"), "replications": len(lines)}
+    found |= {"steps": spec.get("steps"), "n": len(lines)}
     for name, shown in COUNTS.items():
         counted = [metrics[name] for metrics in lines if name in metrics]
         found[shown] = sum(counted) / len(counted) if counted else None

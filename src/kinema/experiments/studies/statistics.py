@@ -54,8 +54,10 @@ def distributions(study: dict[str, Any], store: PackedStore, subjects: list[Subj
             data[REFORMED] = (column_groups(None, values.shape[1]), values)
             break
     draw = torch.Generator().manual_seed(0)
-    sample = torch.randn(study["frames"], 16, generator=draw)
-    rows = _rows(NORMAL, "", "", {"all": slice(0, 16)}, sample)
+    rows = _rows(NORMAL, "", "", {"columns": slice(0, 16)}, torch.randn(study["frames"], 16, generator=draw))
+    if REFORMED in data:  # fewer rows than frames: a normal sample of that size is farther from N(0, 1)
+        groups, values = data[REFORMED]
+        rows += _rows(NORMAL, "", "", groups, torch.randn(values.shape, generator=draw))
     for name, (groups, values) in data.items():
         rows += _rows(name, "", "clean", groups, values)
         noise = torch.randn(values.shape, generator=draw)
