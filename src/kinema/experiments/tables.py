@@ -15,7 +15,7 @@ WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths"
 """Config groups that a table takes from its caller; the rest is the table's own."""
 
 PANELS = {"humanml3d": "humanml3d", "kit": "kit_ml"}
-"""The published panel that stands beside a corpus of no paper's, by its skeleton."""
+"""The panel of a paper's table that shows motion of a skeleton."""
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,14 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     from kinema.report.site import render
 
     some = next(row.cfg for row in rows if row.cfg is not None)
-    paper = some.data.paper
-    published = table["paper"].get(paper or PANELS[some.data.skeleton], {})
+    panel = PANELS[some.data.skeleton]
+    published = table["paper"].get(panel, {})
     results = {row.spec["key"]: _results(row) for row in rows}
     filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
     filled.pop("paper")
     beside = filled.pop("beside", [])
-    filled["comparable"] = paper is not None and some.scale.name == "paper"
+    filled["panel"] = panel if published else None
+    filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
     filled["corpus"] = some.data.name
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(rows, command)
@@ -154,7 +155,7 @@ def _steps_note(row: TableRow) -> str:
         return ""
     trained = OmegaConf.select(row.cfg, "generator.model.process.steps")
     taken = OmegaConf.select(row.cfg, "generator.sampling.solver_steps")
-    return "" if None in (trained, taken) else f"sampled in {taken} of its {trained} diffusion steps"
+    return "" if trained is None or taken in (None, trained) else f"sampled in {taken} of its {trained} diffusion steps"
 
 
 def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
