@@ -11,7 +11,7 @@ from kinema.tokenizers import MotionTokenizer
 from kinema.types import MotionBatch
 
 TOKENIZERS = sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml"))
-TRAINED = [name for name in TOKENIZERS if name != "frames"]  # which has nothing to train, and no parameter
+TRAINED = [name for name in TOKENIZERS if name not in ("frames", "frame_groups")]  # these have no parameter
 DIMS = ("essential", "redundant", "published")
 
 

@@ -137,10 +137,10 @@ class EncodeEachTime:
 def latent_source(
     folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
 ) -> LatentCache | EncodeEachTime:
-    """Choose where a tokenizer's latents come from: looked up if they are always the same and no frames, else made.
+    """Choose where a tokenizer's latents come from: looked up if they are always the same and no copies, else made.
 
     A cache of every crop's frames would be many times the corpus (31 GB for HumanML3D).
     """
-    if tokenizer.space.kind == "frames" or not tokenizer.deterministic:
+    if tokenizer.copies or not tokenizer.deterministic:
         return EncodeEachTime(tokenizer, clips, device)
     return LatentCache.ensure(folder, tokenizer, clips, device)
