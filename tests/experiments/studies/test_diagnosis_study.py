@@ -15,30 +15,18 @@ PARTS = ("x_t", "phi", "amplification", "denoising", "samples", "jitter", "recon
 SMALL = {"motions": 6, "frames": 400, "timesteps": 3}
 
 
-FRAMES = "mdm"
-
-
 @pytest.fixture
-def overrides(micro):
-    """Leave out what the tokenizer of frames, which is not trained, has no options for."""
-    return [o for o in micro if not o.startswith("tokenizer.train")]
-
-
-@pytest.fixture
-def small(monkeypatch, micro, overrides):
-    """Measure a few motions of micro runs."""
+def small(monkeypatch):
+    """Measure a few motions."""
     whole = load_study("diagnosis")
-    own = [o for o in micro if o not in overrides]
-    for spec in (*whole["generators"], *whole["tokenizers"]):
-        spec["overrides"] = [*spec.get("overrides", []), *(own if spec["method"] != FRAMES else [])]
     processes = {"cosine 50": whole["processes"]["cosine 50"]}
     monkeypatch.setattr(studies, "load_study", lambda name: {**whole, **SMALL, "processes": processes})
     return whole
 
 
-def test_every_part_is_measured_of_every_run(small, overrides, tmp_path):
+def test_every_part_is_measured_of_every_run(small, micro_tables, tmp_path):
     pytest.importorskip("matplotlib")
-    reproduce("diagnosis", [*overrides, "generator.train.steps=8"], jobs=1, out=tmp_path / "page")
+    reproduce("diagnosis", [*micro_tables, "generator.train.steps=8"], jobs=1, out=tmp_path / "page")
     page = (tmp_path / "page/README.md").read_text()
     rows = {name: list(csv.DictReader((tmp_path / f"page/{name}.csv").open())) for name in PARTS}
     assert set(PARTS) == small["sections"].keys()
@@ -58,17 +46,17 @@ def test_every_part_is_measured_of_every_run(small, overrides, tmp_path):
     assert "corpus.name: `synthetic`" in page
 
 
-def test_rendering_alone_trains_nothing_and_says_what_is_lacking(small, overrides, tmp_path, capsys):
-    reproduce("diagnosis", [*overrides, f"paths.runs={tmp_path}/runs"], render_only=True, out=tmp_path / "page")
+def test_rendering_alone_trains_nothing_and_says_what_is_lacking(small, micro_tables, tmp_path, capsys):
+    reproduce("diagnosis", [*micro_tables, f"paths.runs={tmp_path}/runs"], render_only=True, out=tmp_path / "page")
     told = capsys.readouterr().out
     assert all(f"no finished run for {one['label']}" in told for one in small["generators"])
     assert not (tmp_path / "runs").exists()
     assert {file.stem for file in (tmp_path / "page").glob("*.csv")} == {"x_t", "phi"}
 
 
-def test_a_launcher_is_refused(small, overrides):
+def test_a_launcher_is_refused(small, micro_tables):
     with pytest.raises(ValueError, match="launcher=slurm: the diagnosis runs on this machine; train its runs with"):
-        reproduce("diagnosis", [*overrides, "launcher=slurm"])
+        reproduce("diagnosis", [*micro_tables, "launcher=slurm"])
 
 
 def test_tables_of_rows():

@@ -83,9 +83,9 @@ def test_the_fast_point_is_the_cheapest_within_the_interval_of_the_best():
     assert [row.get("fast") for row in rows] == [None, None, "fast", None]
 
 
-def test_every_point_is_scored_on_val_by_the_methods_own_run(micro):
+def test_every_point_is_scored_on_val_by_the_methods_own_run(micro_tables):
     study = load_study("solvers")
-    rows = plan({"rows": list(points(study)), "overrides": study["overrides"]}, free(micro))
+    rows = plan({"rows": list(points(study)), "overrides": study["overrides"]}, micro_tables)
     assert {row.cfg.scale.protocol.split for row in rows} == {"val"}
     places = [row.place.folder.path for row in rows]
     assert len(set(places)) >= len(rows) - len(study["methods"])  # a default may be one of the other points
@@ -93,11 +93,6 @@ def test_every_point_is_scored_on_val_by_the_methods_own_run(micro):
         own = [row for row in rows if row.spec.get("method") == spec["method"]]
         assert len({row.place.subject["generator"] for row in own}) == 1
         assert not any(trained_by(row) for row in own)
-
-
-def free(micro):
-    """Leave out what the tokenizer of frames has no options for."""
-    return [o for o in micro if not o.startswith("tokenizer.train")]
 
 
 def test_points_are_scored_once_and_drawn(micro, tmp_path, monkeypatch, capsys):
