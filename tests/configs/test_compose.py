@@ -19,7 +19,7 @@ from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS
 
 MODELS = ("tokenizer", "generator", "residual", "length")
-ELSEWHERE = ("table", "hydra", "method", "scale", "budget", "recipe")
+ELSEWHERE = ("table", "study", "hydra", "method", "scale", "budget", "recipe")
 """No groups, or composed by a test of their own."""
 GROUPS = {
     group.name: sorted(file.stem for file in group.glob("*.yaml"))

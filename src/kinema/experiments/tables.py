@@ -67,9 +67,10 @@ def row_overrides(spec: dict[str, Any]) -> list[str]:
 
 
 def trained_by(row: TableRow) -> list[str]:
-    """Return the row's own overrides that training knows: all that is not about scoring."""
-    scoring = OmegaConf.load(CONF / "evaluate.yaml").keys()
-    return [o for o in row.spec.get("overrides", []) if o.split("=")[0].split(".")[0] not in scoring]
+    """Return the row's own overrides that training knows: all that is not about scoring or sampling."""
+    scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
+    own = [o for o in row.spec.get("overrides", []) if not o.startswith("generator.sampling.")]
+    return [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:

@@ -62,6 +62,11 @@ class Generator(LatentModel):
     predicts_length: bool = False
     parts: tuple[str, ...] = ()
 
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The modules whose calls are what sampling costs, by name: `denoiser` is a diffusion's."""
+        return {}
+
     def attach(self, part: str, module: nn.Module) -> None:
         """Take a part, neither saved nor trained with this module; raises ValueError for one it has no use for."""
         takes = ", ".join(self.parts) or "no other part"

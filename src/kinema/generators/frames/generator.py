@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.diffusion.ddpm import DDPM
@@ -53,6 +53,11 @@ class FrameDiffusion(Generator):
         self.denoiser, self.process, self.sampling = denoiser, process, sampling
         self.condition_drop, self.mask_frames, self.average = condition_drop, mask_frames, average
         self.check_sampling(sampling)
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The denoiser; a row is a motion."""
+        return {"denoiser": self.denoiser}
 
     def check_sampling(self, sampling: FrameSampling) -> None:
         """Refuse a solver of another process, and guidance that training gave no ground."""

@@ -88,6 +88,11 @@ class MARDM(Generator):
         self.register_buffer("latent_min", torch.full((latent_dim,), -torch.inf))
         self.register_buffer("latent_max", torch.full((latent_dim,), torch.inf))
 
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The diffusion MLP, by its last layer, whose row is a latent, and the transformer, whose row is a motion."""
+        return {"denoiser": self.mlp.final, "transformer": self}
+
     def reset_parameters(self) -> None:
         """Initialise the transformer: Linears N(0, 0.02), biases and modulations 0. The MLP has its own rule."""
         for module in (self.input_projection, self.text_projection, *self.blocks.modules()):
