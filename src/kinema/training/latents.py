@@ -147,7 +147,7 @@ class EncodeEachTime:
 def latent_source(
     folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
 ) -> LatentCache | EncodeEachTime:
-    """Choose where a tokenizer's latents come from: looked up if they, or their moments, are always the same, else made.
+    """Choose where a tokenizer's latents come from: looked up if they or their moments are always the same, else made.
 
     A cache of every crop's frames would be many times the corpus (31 GB for HumanML3D).
     """

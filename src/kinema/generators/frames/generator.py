@@ -1,4 +1,4 @@
-"""Diffuse whole sequences, of frames or of latents, under a text: the loss, the sampler and edits that methods share."""
+"""Diffuse whole sequences, of frames or latents, under a text: the loss, the sampler and edits that methods share."""
 
 from __future__ import annotations
 
