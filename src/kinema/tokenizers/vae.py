@@ -112,5 +112,6 @@ class VAE(PosteriorTokenizer):
 
 def _first(table: Float[Tensor, "n w"], size: int, tokens: int = 0) -> Float[Tensor, "m w"]:
     if size > len(table):
-        raise ValueError(f"{size - tokens} frames exceed positions={len(table)} less {tokens} tokens; crop the motion")
+        taken = f" less {tokens} tokens" if tokens else ""
+        raise ValueError(f"{size - tokens} frames exceed positions={len(table)}{taken}; crop the motion")
     return table[:size]
