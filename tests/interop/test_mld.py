@@ -69,10 +69,10 @@ def test_autoencoder_round_trip(latents):
 @pytest.mark.parametrize("latents", [1, 5])
 def test_denoiser_round_trip(latents):
     model = make_mld(latents)
-    copy = interop.load(
-        "mld", wrapped(denoiser=model), heads=2, steps=40, latents=latents, sampling={"guidance": 3.0, "solver": None}
-    )
+    content, steps = wrapped(denoiser=model), {"steps": 40, "sampling": {"solver_steps": "leading4"}}
+    copy = interop.load("mld", content, heads=2, latents=latents, **steps)
     assert copy.lacks_empty_text
+    assert (copy.sampling.guidance, copy.sampling.solver) == (7.5, "ddim")
     frames, seeds = torch.tensor([16, 9]), torch.tensor([1, 2])
     text, results = TextFeatures(["", ""], torch.randn(2, 7)), []
     sampling = LatentSampling(3.0, solver="ddim", solver_steps="leading4")
