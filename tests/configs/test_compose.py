@@ -129,7 +129,7 @@ SIZES = {
     "mdm": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
-    # 18,035,207 with seven latents; 8,349,184 with 768 numbers of text (ViT-L/14) and a table that nothing reads. MLD §1-§2
+    # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
     "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
 }
 

@@ -1,4 +1,4 @@
-"""Frozen parts stay frozen while a generator trains: no gradient, dropout, averaging or update reaches them (MLD §4)."""
+"""Frozen parts stay frozen while a generator trains: no gradient, dropout, averaging or update reaches them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Test diffusion on the latents of a whole motion: its empty text, its lengths, its invariances (numbers: tests/parity)."""
+"""Test diffusion on the latents of a motion: its empty text, lengths and invariances (numbers: tests/parity)."""
 
 from __future__ import annotations
 
