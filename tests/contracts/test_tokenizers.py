@@ -12,7 +12,7 @@ from kinema.types import MotionBatch
 
 SEVERAL = "vae tokenizer.model.latents=7"  # for reconstruction
 TOKENIZERS = [*sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml")), SEVERAL]
-TRAINED = [name for name in TOKENIZERS if name != "frames"]  # which has nothing to train, and no parameter
+TRAINED = [name for name in TOKENIZERS if name not in ("frames", "frame_groups")]  # these have no parameter
 DIMS = ("essential", "redundant", "published")
 
 

@@ -97,16 +97,18 @@ def test_missing_rows_say_so(table, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("corpus", "comparable", "expected"),
+    ("corpus", "panel", "comparable", "expected"),
     [
-        ("open-mocap", False, "Corpus: open-mocap; scale: tiny. The paper's numbers are HumanML3D results and are not"),
-        ("kit_ml", False, "numbers are KIT-ML results of full-size training and are not comparable"),
-        ("humanml3d", True, "Corpus: HumanML3D; scale: tiny. The paper's numbers are of the same corpus."),
-        (None, False, "Corpus: not recorded"),
+        ("open-mocap", "humanml3d", False, "tiny. The paper's numbers are HumanML3D results and are not comparable"),
+        ("synthetic_kit", "kit_ml", False, "The paper's numbers are KIT-ML results and are not comparable"),
+        ("synthetic_kit", None, False, "Corpus: synthetic_kit; scale: tiny. The paper has no numbers of such motion."),
+        ("kit_ml", "kit_ml", False, "numbers are KIT-ML results of full-size training and are not comparable"),
+        ("humanml3d", "humanml3d", True, "Corpus: HumanML3D; scale: tiny. The paper's numbers are of the same corpus."),
+        (None, "humanml3d", False, "Corpus: not recorded"),
     ],
 )
-def test_corpus_is_named(table, tmp_path, corpus, comparable, expected):
-    files = texts({**table, "corpus": corpus, "comparable": comparable}, tmp_path)
+def test_corpus_is_named(table, tmp_path, corpus, panel, comparable, expected):
+    files = texts({**table, "corpus": corpus, "panel": panel, "comparable": comparable}, tmp_path)
     assert expected in files["table.md"]
     assert expected in files["table.tex"]
     assert expected.replace("'", "&#x27;") in files["index.html"]

@@ -14,11 +14,16 @@ PAPER_CORPORA = {"humanml3d": "HumanML3D", "kit_ml": "KIT-ML"}
 
 
 def notice(table: dict[str, Any]) -> str:
-    """Say which corpus the numbers are of, and whether the published ones may be held against them."""
+    """Say which corpus the numbers are of, and whether the published ones may be held against them.
+
+    `panel` is the corpus whose published numbers the table shows.
+    """
     corpus = str(table.get("corpus") or "not recorded")
     scale = table.get("scale")
-    paper = PAPER_CORPORA.get(corpus, "HumanML3D")
+    paper = PAPER_CORPORA.get(str(table.get("panel")))
     here = f"Corpus: {PAPER_CORPORA.get(corpus, corpus)}" + (f"; scale: {scale}" if scale else "")
+    if paper is None:
+        return f"{here}. The paper has no numbers of such motion."
     if table.get("comparable"):
         return f"{here}. The paper's numbers are of the same corpus."
     if corpus in PAPER_CORPORA:

@@ -147,11 +147,11 @@ class EncodeEachTime:
 def latent_source(
     folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
 ) -> LatentCache | EncodeEachTime:
-    """Choose where a tokenizer's latents come from: looked up if they or their moments are always the same, else made.
+    """Choose where a tokenizer's latents come from: looked up if they or their moments are the same and no copies.
 
     A cache of every crop's frames would be many times the corpus (31 GB for HumanML3D).
     """
     cacheable = tokenizer.deterministic or isinstance(tokenizer, PosteriorTokenizer)
-    if tokenizer.space.kind == "frames" or not cacheable:
+    if tokenizer.copies or not cacheable:
         return EncodeEachTime(tokenizer, clips, device)
     return LatentCache.ensure(folder, tokenizer, clips, device)
