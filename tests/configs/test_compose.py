@@ -391,7 +391,7 @@ MLD = {
     "representation.kind": "redundant",
     "representation.variant": "raw",
     **under("tokenizer.model", latents=1, width=256, feedforward=1024, layers=9, heads=4, dropout=0.1),
-    **under("tokenizer.model", joint_weight=1.0, kl_weight=1e-4),
+    **under("tokenizer.model", joint_weight=1.0, kl_weight=1e-4, log_variance=0.0),
     **under("tokenizer.train", batch_size=128, lr=1e-4, betas=[0.9, 0.999], weight_decay=1e-2, warmup=0, clip="absent"),
     **under("generator.model", latents=1, latent_dim=256, feedforward=1024, layers=9, heads=4, dropout=0.1),
     **under("generator.model", condition_drop=0.1),

@@ -89,3 +89,10 @@ def test_what_does_not_fit_is_refused():
         model.decode(Latents(LENGTHS, LENGTHS + 27, torch.zeros(3, 2, 16)))
     with pytest.raises(ValueError, match=r"38 frames exceed positions=40 less 4 tokens"):
         model.encode(motion(model, size=38))
+
+
+def test_the_log_variance_can_start_lower():
+    wide, narrow = make(), make(log_variance=-4.0)
+    (mean, log_variance), (same, lower) = (m.moments(motion(m)).values.chunk(2, dim=-1) for m in (wide, narrow))
+    assert torch.equal(mean, same)
+    torch.testing.assert_close(lower, log_variance - 4)

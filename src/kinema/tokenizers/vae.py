@@ -18,8 +18,9 @@ from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 class VAE(PosteriorTokenizer):
     """Encode motion (b, t, d) to `latents` normal distributions of `width` dims, whatever its length, and back.
 
-    Published with 1 (for generation), 2, 5, 7 (for reconstruction) and 10 latents. `positions` bounds the frames: the
-    table of the encoder holds two tokens per latent too.
+    Published with 1 (for generation), 2, 5, 7 (for reconstruction) and 10 latents. `log_variance` is added to the log
+    variances (published: 0): they come out of the same LayerNorm as the means, so their average starts at 0 and only a
+    long training moves it. `positions` bounds the frames: the table of the encoder holds two tokens per latent too.
     """
 
     def __init__(
@@ -34,6 +35,7 @@ class VAE(PosteriorTokenizer):
         dropout: float = 0.1,
         joint_weight: float = 1.0,
         kl_weight: float = 1e-4,
+        log_variance: float = 0.0,
         positions: int = 500,
     ) -> None:
         super().__init__()
@@ -46,7 +48,7 @@ class VAE(PosteriorTokenizer):
         self.decoder_positions = nn.Parameter(torch.rand(positions, width))
         self.decoder = SkipTransformer(width, heads, feedforward, layers, dropout, cross=True)
         self.output = nn.Linear(width, representation.width)
-        self.joint_weight, self.kl_weight = joint_weight, kl_weight
+        self.joint_weight, self.kl_weight, self.log_variance = joint_weight, kl_weight, log_variance
 
     def loss(
         self,
@@ -96,7 +98,8 @@ class VAE(PosteriorTokenizer):
         sequence = sequence + _first(self.encoder_positions, sequence.shape[1], heads)
         real = F.pad(frame_mask(lengths, x.shape[1]), (heads, 0), value=True)
         mean, log_variance = self.encoder(sequence, real)[:, :heads].chunk(2, dim=1)
-        return Latents(self.space.latents_of(lengths), lengths, values=torch.cat((mean, log_variance), dim=-1))
+        values = torch.cat((mean, log_variance + self.log_variance), dim=-1)
+        return Latents(self.space.latents_of(lengths), lengths, values=values)
 
     def _decode(self, z: Float[Tensor, "b n c"], lengths: Int[Tensor, " b"], size: int) -> Float[Tensor, "b t d"]:
         """Decode normalised features, zero past the lengths."""
