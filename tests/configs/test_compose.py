@@ -114,6 +114,7 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
 # with 32,615 instead of 32,128 words in its two tables of 768 columns. MARDM §3, §4.
 CONV = {"humanml3d": 19_436_807, "kit_ml": 19_399_931}
 CONV_32 = {"humanml3d": 17_961_767, "kit_ml": 17_924_891}
+VAE = 18_035_207 - 2 * 6 * 256
 SIZES = {
     "mardm_ddpm": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
     "mardm_sit": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
@@ -136,6 +137,8 @@ SIZES = {
     "mdm_epsilon": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
+    # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
+    "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
 }
 
 
@@ -383,8 +386,23 @@ MOTIONDIFFUSE = {
     "generator.reads_tokens": True,
     "method.lengths": "real",
 }
+# MLD §1-§2
+MLD = {
+    "representation.kind": "redundant",
+    "representation.variant": "raw",
+    **under("tokenizer.model", latents=1, width=256, feedforward=1024, layers=9, heads=4, dropout=0.1),
+    **under("tokenizer.model", joint_weight=1.0, kl_weight=1e-4, log_variance=0.0),
+    **under("tokenizer.train", batch_size=128, lr=1e-4, betas=[0.9, 0.999], weight_decay=1e-2, warmup=0, clip="absent"),
+    **under("generator.model", latents=1, latent_dim=256, feedforward=1024, layers=9, heads=4, dropout=0.1),
+    **under("generator.model", condition_drop=0.1),
+    **under("generator.model.process", steps=1000, schedule="scaled_linear"),
+    **under("generator.train", batch_size=64, epochs=2000, lr=1e-4, betas=[0.9, 0.999], weight_decay=1e-2, ema=None),
+    **under("generator.sampling", guidance=7.5, solver="ddim", solver_steps="leading50"),
+    "method.lengths": "real",
+}
 PAPERS = {
     "mdm": MDM,
+    "mld": MLD,
     "mdm_epsilon": MDM | {"generator.model.process.prediction": "epsilon"},
     "mdm_1000": MDM_1000,
     "motiondiffuse": MOTIONDIFFUSE,

@@ -74,6 +74,9 @@ class Letters:
         counts = [[t.count(c) + 1e-3 for c in "abcdefghijklmnopqrstuvwxyz"] for t in texts]
         return TextFeatures(texts, torch.tensor(counts))
 
+    def empty(self):
+        return self([""])
+
 
 letters = Letters()
 
