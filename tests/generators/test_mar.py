@@ -158,8 +158,11 @@ def test_the_share_of_noise_is_an_option():
 
     assert noised(0.0) == 0
     assert noised(0.5) == pytest.approx(0.5, abs=0.03)
-    assert make(noise_share=0.0).noise_share == 0
-    for wrong in ({"noise_share": 1.5}, {"mask_ratio": "none"}):
+    model = make(noise_share=0.0, mask_share=1.0)
+    drawn = model._draw(latents().values, torch.Generator().manual_seed(0), (0, 1))
+    assert not drawn.to_noise.any()
+    assert drawn.to_mask.all()
+    for wrong in ({"noise_share": 1.5}, {"mask_share": -1}, {"mask_ratio": "none"}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             make(**wrong)
 

@@ -42,6 +42,7 @@ def table() -> dict:
             row("b_%", "method", runs([0.51, 0.53], [3.0, 3.1])),
             row("c", "method", [], {"r1": [0.47, 0.003]}),
             row("d", "method", None),
+            row("e", "method", None) | {"cannot": "it knows no time"},
         ],
         "corpus": "open-mocap",
         "scale": "tiny",
@@ -91,9 +92,11 @@ def test_missing_rows_say_so(table, tmp_path):
     files = texts(table, tmp_path)
     assert "| C | not yet run |  |  |" in files["table.md"]
     assert "| D | not in Kinema yet |  |  |" in files["table.md"]
+    assert "| E | cannot |  |  |" in files["table.md"]
     for text in (files["table.md"], files["index.html"]):
         assert "Not yet run: C." in text
         assert "Not in Kinema yet: D." in text
+        assert "E: it knows no time" in text
 
 
 @pytest.mark.parametrize(

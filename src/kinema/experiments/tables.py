@@ -136,6 +136,7 @@ def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, An
         "label": spec["label"],
         "kind": spec["kind"],
         "note": "; ".join(note for note in (spec.get("note", ""), _lengths_note(row), _steps_note(row)) if note),
+        "cannot": spec.get("cannot"),
         "published": published.get(spec["key"]),
         "results": results,
     }

@@ -36,7 +36,7 @@ def unfinished(main: Grid) -> list[str]:
     idle = [line for line in main.lines if not line.replications]
     groups = {
         "Not yet run": [line.label for line in idle if line.implemented],
-        "Not in Kinema yet": [line.label for line in idle if not line.implemented],
+        "Not in Kinema yet": [line.label for line in idle if not line.implemented and line.possible],
     }
     return [f"{what}: {', '.join(names)}." for what, names in groups.items() if names]
 

@@ -60,6 +60,7 @@ class MARDM(Generator):
         mask_length: str = "padded",
         mask_ratio: str = "cosine",
         noise_share: float = 0.1,
+        mask_share: float = 0.88,
         sampling: MarSampling | None = None,
     ) -> None:
         super().__init__()
@@ -69,12 +70,14 @@ class MARDM(Generator):
         ):
             if chosen not in allowed:
                 raise ValueError(f"{name} {chosen!r} is unknown; choose one of {', '.join(allowed)}")
-        if not 0 <= noise_share <= 1:
-            raise ValueError(f"noise_share is {noise_share}; give a share in [0, 1]")
+        for name, share in (("noise_share", noise_share), ("mask_share", mask_share)):
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name} is {share}; give a share in [0, 1]")
         self.condition_drop = condition_drop
         self.batch_multiplier = batch_multiplier
         self.space = LatentSpace("continuous", latent_dim, max_latents, downsample)
-        self.mask_length, self.mask_ratio, self.noise_share = mask_length, mask_ratio, noise_share
+        self.mask_length, self.mask_ratio = mask_length, mask_ratio
+        self.corruption = {"noise_share": noise_share, "mask_share": mask_share}
         self.sampling = sampling or MarSampling()
         process.resolve(self.sampling.solver, self.sampling.solver_steps)
         self.process = process
@@ -254,7 +257,7 @@ class MARDM(Generator):
                 (samples, self.space.most, channels),
                 self.process,
                 repeats=self.batch_multiplier,
-                noise_share=self.noise_share,
+                **self.corruption,
                 condition_drop=self.condition_drop if self.training else 0.0,
                 generator=generator,
                 device=latents.device,

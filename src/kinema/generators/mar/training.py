@@ -13,7 +13,6 @@ from kinema.diffusion.flow import Flow
 from kinema.generators.draws import StepDraws
 from kinema.masking import cosine_ratio, masked_count
 
-MASK_SHARE = 0.88
 MASK_RATIOS = ("cosine", "all")
 
 
@@ -38,6 +37,7 @@ class MarDraws(StepDraws):
         *,
         repeats: int,
         noise_share: float = 0.1,
+        mask_share: float = 0.88,
         condition_drop: float,
         generator: torch.Generator | None,
         device: torch.device,
@@ -55,7 +55,7 @@ class MarDraws(StepDraws):
             mask_time=uniform(batch),
             permutation=uniform(batch, positions).argsort(dim=1),
             to_noise=uniform(batch, positions) < noise_share,
-            to_mask=uniform(batch, positions) < MASK_SHARE,
+            to_mask=uniform(batch, positions) < mask_share,
             corruption=normal(batch, positions, channels),
             condition_drop=uniform(batch) < condition_drop,
             diffusion_time=process.draw_times((batch, positions, repeats), generator, device),
