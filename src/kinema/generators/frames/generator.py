@@ -33,8 +33,10 @@ class FrameDiffusion(Generator):
 
     `mask_frames` hides padding from the frames; without it a motion is the start of one of `max_frames`, in training
     and in sampling. `average` makes the rows of the loss: `per_sequence` or `per_frame`. `condition_drop` is the share
-    of texts that training drops; 0 leaves no empty text to be guided from.
+    of texts that training drops; 0 leaves no empty text to be guided from. `draws_type` is what a step draws.
     """
+
+    draws_type: type[FrameDraws] = FrameDraws
 
     def __init__(
         self,
@@ -121,7 +123,7 @@ class FrameDiffusion(Generator):
         kept = None if known is None else Kept.of(known, lengths, real, self.frame_dim)
         with inference(self):
             values = self.process.sample(
-                self._predictor(text.to(device), shown, sampling),
+                self._predictor(text.to(device), shown, sampling, seeds),
                 noise or sequence_noise(seeds, drawn, self.frame_dim, device),
                 solver=sampling.solver,
                 steps=sampling.solver_steps,
@@ -132,7 +134,9 @@ class FrameDiffusion(Generator):
         values = values.masked_fill(~real[..., None], 0.0)
         return Latents(lengths=lengths, frames=lengths, values=values[:, :longest])
 
-    def _predictor(self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: FrameSampling) -> Predict:
+    def _predictor(
+        self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: FrameSampling, seeds: Int[Tensor, " b"]
+    ) -> Predict:
         """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
         condition, seen = self.denoiser.read(text)
         empty = None if sampling.guidance == 1 else self.denoiser.read(without_text(text))[0]
@@ -151,7 +155,7 @@ class FrameDiffusion(Generator):
         batch, frames, features = x1.shape
         drop = self.condition_drop if self.training else 0.0
         return share_of(
-            lambda samples: FrameDraws.draw(
+            lambda samples: self.draws_type.draw(
                 (samples, self.space.most, features),
                 self.process,
                 condition_drop=drop,
