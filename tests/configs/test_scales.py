@@ -27,7 +27,7 @@ PARTS = [
     if option not in ("none", "frames", "fsq")  # nothing to build, nothing to shrink; FSQ needs memory to be built
 ]
 METHOD_OF = {"rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
-METHOD_OF |= {option: option for option in ("mdm", "mdm_1000", "motiondiffuse")}
+METHOD_OF |= {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse")}
 
 composed = cache(lambda *overrides: compose(list(overrides)))
 

@@ -68,7 +68,9 @@ def test_retrieval(golden_file):
 
 def test_mixture(golden_file):
     golden = read(golden_file, "mixture")
-    for time, *branches in zip(golden["in.t"], golden["out.weights_choice0"], golden["out.weights_choice1"], strict=True):
+    for time, *branches in zip(
+        golden["in.t"], golden["out.weights_choice0"], golden["out.weights_choice1"], strict=True
+    ):
         weights = MixtureSampling().mixture(time.item() / 1000, torch.tensor([False, True]))
         close(weights, torch.stack(branches), rtol=1e-9, atol=1e-12)
 
@@ -115,7 +117,9 @@ def test_a_condition_per_sample_and_the_loss(golden_file):
     model, code = load_model(golden), golden["in.cond_type"].flatten()
     flags = code % 10 > 0, code // 10 > 0
     close(predict(model, golden, golden["in.x"], *flags), golden["out.pred_mixed_conditions"])
-    predicted = predict(model, golden, model.process.add_noise(golden["in.x0"], golden["in.t"], golden["in.noise"]), *flags)
+    predicted = predict(
+        model, golden, model.process.add_noise(golden["in.x0"], golden["in.t"], golden["in.noise"]), *flags
+    )
     close(predicted, golden["out.loss_pred"])
     rows = per_frame((predicted - golden["in.x0"]).square(), frame_mask(golden["in.lengths"], 18))
     close(rows.mean(), golden["out.loss"])
@@ -142,9 +146,7 @@ def test_samples(golden_file):
         return model.mixed(x, time, weights=weights, **read_)
 
     options = model.sampling
-    made = model.process.sample(
-        predicted, iter([golden["rng.x_T"]]), solver=options.solver, steps=options.solver_steps
-    )
+    made = model.process.sample(predicted, iter([golden["rng.x_T"]]), solver=options.solver, steps=options.solver_steps)
     real = read_["real"]
     for step, x in zip((0, 9, 24, 40, 48), golden["out.ddim_traj"], strict=True):
         close(seen[step + 1][real], x[real], atol=8e-5)

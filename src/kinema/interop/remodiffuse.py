@@ -120,8 +120,8 @@ def export(model: ReMoDiffuse) -> dict[str, Tensor]:
     denoiser = model.denoiser
     if model.retrieved_dim != denoiser.width:
         raise ValueError(
-            f"retrieved texts of {model.retrieved_dim} numbers are projected to the model's width {denoiser.width}, for "
-            "which the published network has no layer; train with generator.model.width equal to text.dim to export"
+            f"retrieved texts of {model.retrieved_dim} numbers are projected to the model's width {denoiser.width}, "
+            "for which the published network has no layer; train with generator.model.width equal to text.dim to export"
         )
     own = denoiser.state_dict()
     layers = {ours: sum(1 for _ in denoiser.get_submodule(ours).children()) for ours in STACKS}

@@ -28,9 +28,9 @@ class Neighbours:
 class RetrievalDatabase(nn.Module):
     """Hold what captions and motions of a training split are searched by, and themselves; nothing of it is trained.
 
-    A row of `captions` is a text and an entry. Equal texts are held once (`keys`, of length 1, and `tokens` of all texts
-    one after the other, each up to its `token_ends`), and so is each clip: entries are views of `frames`, from `starts`
-    on. `families` are equal for entries of one clip and of its mirror image; `names` are the entries' names, a line each.
+    A row of `captions` is a text and an entry. Equal texts are held once (`keys`, of length 1, and the `tokens` of all,
+    each text's up to its `token_ends`), and so is each clip: entries are views of `frames`, from `starts` on.
+    `families` are equal for entries of one clip and of its mirror image; `names` are the entries' names, a line each.
     The arguments are the sizes of all that.
     """
 

@@ -1,4 +1,4 @@
-"""Generate frames as ReMoDiffuse does: under the text, and motions whose captions and lengths are near (ReMoDiffuse)."""
+"""Generate frames as ReMoDiffuse does: under the text, and motions whose captions and lengths are near it."""
 
 from __future__ import annotations
 
