@@ -68,11 +68,10 @@ def test_retrieval(golden_file):
 
 def test_mixture(golden_file):
     golden = read(golden_file, "mixture")
-    for time, *branches in zip(
-        golden["in.t"], golden["out.weights_choice0"], golden["out.weights_choice1"], strict=True
-    ):
+    branches = torch.stack((golden["out.weights_choice0"], golden["out.weights_choice1"]), dim=1)
+    for time, expected in zip(golden["in.t"], branches, strict=True):
         weights = MixtureSampling().mixture(time.item() / 1000, torch.tensor([False, True]))
-        close(weights, torch.stack(branches), rtol=1e-9, atol=1e-12)
+        close(weights, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_schedule(golden_file):

@@ -37,9 +37,10 @@ class RetrievedBlock(nn.Module):
         self.query = nn.Linear(width, width)
         self.key = nn.Linear(width, width)
         self.value = nn.Linear(width, width)
-        self.mlp = nn.Sequential(nn.Linear(width, feedforward), nn.GELU(), nn.Linear(feedforward, width))
-        nn.init.zeros_(self.mlp[2].weight)
-        nn.init.zeros_(self.mlp[2].bias)
+        last = nn.Linear(feedforward, width)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.mlp = nn.Sequential(nn.Linear(width, feedforward), nn.GELU(), last)
 
     def forward(self, x: Float[Tensor, "n t w"], real: Bool[Tensor, "n t"]) -> Float[Tensor, "n t w"]:
         own = self.norm(x)
