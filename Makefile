@@ -12,15 +12,16 @@ PIP    := $(PY) -m pip install --quiet --disable-pip-version-check
 STAMP  := $(VENV)/.installed
 DOCS   := $(VENV)/.docs
 TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
+STUDIES := $(wildcard conf/study/*.yaml)
 
 .PHONY: help install test lint docs bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
 
-# `target: needs  ## what it does` is what is listed; tables are listed by their titles.
+# `target: needs  ## what it does` is what is listed; tables and studies are listed by their titles.
 help:  ## list the targets
 	@sed -nE 's/^([a-z][a-z0-9-]*):.*  ## (.*)/\1\t\2/p' Makefile | while IFS="$$(printf '\t')" read -r name what; do \
 	  printf '  %-24s %s\n' "$$name" "$$what"; done
-	@for table in $(TABLES); do \
-	  printf '  %-24s %s\n' "reproduce-$$table" "$$(sed -n 's/^title: //p' conf/table/$$table.yaml)"; done
+	@for file in $(TABLES:%=conf/table/%.yaml) $(STUDIES); do \
+	  printf '  %-24s %s\n' "reproduce-$$(basename $$file .yaml)" "$$(sed -n 's/^title: //p' $$file)"; done
 	@echo 'Variables: DATA=$(DATA) SCALE=$(SCALE) LAUNCHER=$(LAUNCHER) ARGS= (any overrides) VENV=$(VENV) PYTHON=$(PYTHON)'
 
 install: $(STAMP)  ## make .venv with the locked versions and this package, editable
@@ -54,7 +55,7 @@ bench: $(STAMP)  ## run every benchmark
 doctor: $(STAMP)  ## examine the corpus DATA
 	$(KINEMA) doctor data=$(DATA) $(ARGS)
 
-# One file of conf/table each.
+# One file of conf/table or conf/study each.
 reproduce-%: $(STAMP)
 	$(KINEMA) reproduce $* data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(ARGS)
 

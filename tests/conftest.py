@@ -108,6 +108,22 @@ def micro(shelf: Path) -> list[str]:
 
 
 @pytest.fixture(scope="session")
+def micro_tables(micro: list[str], shelf: Path) -> list[str]:
+    """Give what makes the same runs with tokenizers that train and ones that don't: their steps stand in a scale."""
+    own = [o.removeprefix("tokenizer.train.").split("=") for o in micro if o.startswith("tokenizer.train.")]
+    files = {"scale/micro.yaml": "# @package _global_\ndefaults: [smoke, _self_]\n"}
+    for file in (ROOT / "conf" / "tokenizer").glob("*.yaml"):
+        if "train: null" not in file.read_text():
+            recipe = ", ".join(f"{key}: {value}" for key, value in own)
+            files[f"scale/micro/tokenizer/{file.name}"] = f"train: {{{recipe}}}\n"
+    for name, text in files.items():
+        (shelf / "conf" / name).parent.mkdir(parents=True, exist_ok=True)
+        (shelf / "conf" / name).write_text(text)
+    others = [o for o in micro if not o.startswith("tokenizer.train.")]
+    return [*others, f"hydra.searchpath=[file://{shelf}/conf]", "scale=micro"]
+
+
+@pytest.fixture(scope="session")
 def open_mocap() -> Path:
     """Return the folder of the open-mocap corpus in KINEMA_SHARED (default ../shared beside the checkout) or skip."""
     folder = SHARED / "data" / "open-mocap"

@@ -41,6 +41,15 @@ def shrinking_counts(
     return ((lengths if free is None else free) * cosine_ratio(time)).floor().clamp(min=1).long()
 
 
+def paper_counts(free: Int[Tensor, " b"], steps: int) -> Int[Tensor, "s b"]:
+    """Count the masked positions before each of `steps` unmasking steps as BAD's paper has it: T cos(pi i / 2I).
+
+    Rounded (the paper doesn't say how), at least 1; every length takes all steps.
+    """
+    step = torch.arange(steps, device=free.device)[:, None]
+    return masked_count(free, cosine_ratio(step / steps))
+
+
 def ranks(scores: Float[Tensor, "b n"]) -> Int[Tensor, "b n"]:
     """Rank each row's scores, 0 for the lowest."""
     return scores.argsort(dim=-1, stable=True).argsort(dim=-1)

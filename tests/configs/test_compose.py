@@ -19,15 +19,16 @@ from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS
 
 MODELS = ("tokenizer", "generator", "residual", "length")
-ELSEWHERE = ("table", "hydra", "method", "scale", "budget", "recipe")
+ELSEWHERE = ("table", "study", "hydra", "method", "scale", "budget", "recipe")
 """No groups, or composed by a test of their own."""
 GROUPS = {
     group.name: sorted(file.stem for file in group.glob("*.yaml"))
     for group in sorted(CONF.iterdir())
     if group.is_dir() and group.name not in ELSEWHERE
 }
-PARTS = [(group, option) for group in MODELS for option in GROUPS[group] if option not in ("none", "frames")]
-"""Not frames: that tokenizer has no parameters, and no method of ours."""
+UNTRAINED = ("frames", "frame_groups")
+PARTS = [(group, option) for group in MODELS for option in GROUPS[group] if option not in ("none", *UNTRAINED)]
+"""Not the tokenizers that have no parameters."""
 REST = [group for group in GROUPS if group not in MODELS]
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 CORPORA = ("humanml3d", "kit_ml")
@@ -86,7 +87,7 @@ def test_every_option_composes_and_resolves(row, scale):
 def test_every_part_builds_where_it_fits(group, option):
     choice = (*OFFLINE, *fitting(group, option), f"{group}={option}", "scale=paper")
     resolved(*choice)
-    assert size(stage_model(group, cfg=composed(*choice))) > 0 or option == "frames"
+    assert size(stage_model(group, cfg=composed(*choice))) > 0
 
 
 @pytest.mark.parametrize("corpus", CORPORA)
@@ -113,9 +114,16 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
 # with 32,615 instead of 32,128 words in its two tables of 768 columns. MARDM §3, §4.
 CONV = {"humanml3d": 19_436_807, "kit_ml": 19_399_931}
 CONV_32 = {"humanml3d": 17_961_767, "kit_ml": 17_924_891}
+VAE = 18_035_207 - 2 * 6 * 256
 SIZES = {
     "mardm_ddpm": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
     "mardm_sit": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
+    "mardm_parallel": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
+    # 4 x 263 channels instead of 512: of the mask latent, both input layers and the output.
+    "mardm_frames": (
+        {"humanml3d": 0, "kit_ml": 0},
+        19_940_864 + 270_875_648 + (4 * 263 - 512) * (1 + 1024 + 1792 + 1792 + 1),
+    ),
     "t2m_gpt": (CONV, 228_415_488 - 2 * 51 * 1024),
     "attt2m": ({"humanml3d": 20_496_455, "kit_ml": 20_478_011}, 254_137_344 - 2 * 51 * 1024),
     "mmm": (CONV_32, 236_315_744 - 2 * 51 * 1024),
@@ -126,8 +134,11 @@ SIZES = {
     "motiongpt": (CONV, 247_577_856 + 2 * (32_615 - 32_128) * 768),
     # MDM §2 and MotionDiffuse say 17.88 and 87.15 millions; frames have no tokenizer.
     "mdm": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
+    "mdm_epsilon": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
+    # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
+    "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
 }
 
 
@@ -375,12 +386,31 @@ MOTIONDIFFUSE = {
     "generator.reads_tokens": True,
     "method.lengths": "real",
 }
+# MLD §1-§2
+MLD = {
+    "representation.kind": "redundant",
+    "representation.variant": "raw",
+    **under("tokenizer.model", latents=1, width=256, feedforward=1024, layers=9, heads=4, dropout=0.1),
+    **under("tokenizer.model", joint_weight=1.0, kl_weight=1e-4, log_variance=0.0),
+    **under("tokenizer.train", batch_size=128, lr=1e-4, betas=[0.9, 0.999], weight_decay=1e-2, warmup=0, clip="absent"),
+    **under("generator.model", latents=1, latent_dim=256, feedforward=1024, layers=9, heads=4, dropout=0.1),
+    **under("generator.model", condition_drop=0.1),
+    **under("generator.model.process", steps=1000, schedule="scaled_linear"),
+    **under("generator.train", batch_size=64, epochs=2000, lr=1e-4, betas=[0.9, 0.999], weight_decay=1e-2, ema=None),
+    **under("generator.sampling", guidance=7.5, solver="ddim", solver_steps="leading50"),
+    "method.lengths": "real",
+}
 PAPERS = {
     "mdm": MDM,
+    "mld": MLD,
+    "mdm_epsilon": MDM | {"generator.model.process.prediction": "epsilon"},
     "mdm_1000": MDM_1000,
     "motiondiffuse": MOTIONDIFFUSE,
     "mardm_ddpm": MARDM,
     "mardm_sit": MARDM,
+    "mardm_frames": {k: v for k, v in MARDM.items() if not k.startswith("tokenizer.")}
+    | {"generator.model.latent_dim": (4 * 263, 4 * 251), "representation.variant": "raw", "tokenizer.train": None},
+    "mardm_parallel": MARDM | {"generator.model.mask_ratio": "all", "generator.sampling.steps": 1},
     "t2m_gpt": T2M_GPT,
     "attt2m": ATTT2M,
     "mmm": MMM,

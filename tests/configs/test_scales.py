@@ -24,10 +24,16 @@ PARTS = [
     (group, option)
     for group in ("tokenizer", "generator", "residual")
     for option in sorted(file.stem for file in (CONF / group).glob("*.yaml"))
-    if option not in ("none", "frames", "fsq")  # nothing to build, nothing to shrink; FSQ needs memory to be built
+    if option
+    not in (
+        "none",
+        "frames",
+        "frame_groups",
+        "fsq",
+    )  # nothing to build, nothing to shrink; FSQ needs memory to be built
 ]
 METHOD_OF = {"rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
-METHOD_OF |= {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse")}
+METHOD_OF |= {"vae": "mld"} | {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse", "mld")}
 
 composed = cache(lambda *overrides: compose(list(overrides)))
 

@@ -175,3 +175,21 @@ def test_latents_without_time_are_cached_like_others(workshop, representation, t
     torch.testing.assert_close(found.values, Summary(representation).encode(batch).values)
     assert found.lengths.tolist() == [2]
     assert found.frames.tolist() == [frames]
+
+
+def test_a_posterior_s_moments_are_cached_and_drawn_from(workshop, tmp_path):
+    """MLD's latents: every step draws anew, as encoding anew would, and no step runs the encoder."""
+    tokenizer, clips, batch = workshop.tokenizer("method=mld"), [ClipDataset(workshop.store, "train")], workshop.clips()
+    cached, anew = latent_source(tmp_path / "latents", tokenizer, clips, "cpu"), EncodeEachTime(tokenizer)
+    assert isinstance(cached, LatentCache)
+    for generator in (None, 1, 2):
+        drawn = [s(batch, generator and torch.Generator().manual_seed(generator)) for s in (cached, anew)]
+        torch.testing.assert_close(drawn[0].values, drawn[1].values, rtol=1e-4, atol=1e-4)
+        assert torch.equal(drawn[0].frames, batch.lengths)
+    first, other = (cached(batch, torch.Generator().manual_seed(s)).values for s in (1, 2))
+    assert not torch.equal(first, other)
+    halves = [cached(batch, torch.Generator().manual_seed(1), (rank, 2)).values for rank in (0, 1)]
+    assert not torch.equal(*halves)
+    low, high = cached.range()
+    assert low.shape == high.shape == (tokenizer.space.width,)
+    assert (low < high).all()

@@ -74,6 +74,9 @@ class Letters:
         counts = [[t.count(c) + 1e-3 for c in "abcdefghijklmnopqrstuvwxyz"] for t in texts]
         return TextFeatures(texts, torch.tensor(counts))
 
+    def empty(self):
+        return self([""])
+
 
 letters = Letters()
 
@@ -233,3 +236,34 @@ def test_an_edit_sees_nothing_of_the_frames_it_replaces(make, task):
 def test_an_unknown_editing_task_is_refused_at_once():
     with pytest.raises(ValueError, match="middle"):
         Edited(model(), task="middle")
+
+
+class Doubling(torch.nn.Module):
+    def forward(self, x):
+        return 2 * x
+
+
+class Evaluated(Echo):
+    """Call a network three times per batch, with two rows for each motion, as guidance does."""
+
+    def __init__(self):
+        super().__init__()
+        self.network = Doubling()
+
+    @property
+    def networks(self):
+        return {"denoiser": self.network}
+
+    def sample(self, text, frames, *, seeds, known=None, sampling=None):
+        for _ in range(3):
+            self.network(torch.cat((text.pooled, text.pooled)))
+        return super().sample(text, frames, seeds=seeds, known=known, sampling=2.0)
+
+
+def test_a_generated_source_counts_what_passes_through_the_networks(make):
+    source, batch = Generated(model(Evaluated())), make.batch()
+    size = len(batch.lengths)
+    for _ in range(2):
+        source(batch, seeds(size))
+    assert source.measured() == {"denoiser_calls": 3, "denoiser_rows": 6}
+    assert source.measured() == {"denoiser_calls": 0, "denoiser_rows": 0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from kinema.decoding.draws import SeededDraws
 from kinema.generators.bad.model import BAD
 from kinema.generators.bad.sampling import BadSampling
 from kinema.generators.bad.training import BadDraws
-from kinema.masking import hybrid_mask, shrinking_counts
+from kinema.masking import hybrid_mask, paper_counts, shrinking_counts
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 CODES = 30
@@ -414,3 +415,14 @@ def test_published_size_has_the_published_number_of_parameters():
         with torch.device("meta"):
             model = BAD(codebook_size=8192, code_dim=32, text_dim=512, token_dim=512, time_token=time_token)
         assert sum(p.numel() for p in model.parameters()) == expected - rows * 1024
+
+
+def test_the_paper_s_schedule_takes_all_steps_for_every_length():
+    lengths = torch.tensor([49, 12, 1])
+    counts = paper_counts(lengths, 10)
+    for i, row in enumerate(counts.tolist()):
+        assert row == [max(1, round(n * math.cos(math.pi * i / 20))) for n in lengths.tolist()]
+    steps = make().trajectory(text(), FRAMES, seeds=SEEDS, sampling=BadSampling(schedule="paper"))
+    assert [masked.sum(dim=1).tolist() for masked, _, _ in steps] == paper_counts(LENGTHS, 10).tolist()
+    with pytest.raises(ValueError, match=r"sampling.schedule 'paper' is not what the published samplers do"):
+        BadSampling(schedule="paper", official_inference_mask=True)

@@ -130,6 +130,43 @@ def test_mask_counts_padded_or_own_length():
     assert own.sum(dim=1).tolist() == [12, 5, 1]
 
 
+def test_without_autoregression_everything_is_hidden_and_sampled_in_one_step():
+    model, batch = make(mask_ratio="all"), latents()
+    other = replace(batch, values=batch.values.flip(0))
+    seen = [model._corrupted(x.values, batch.mask, batch.lengths, draws(model)) for x in (batch, other)]
+    assert all(torch.equal(mask, batch.mask) for mask, _ in seen)
+    assert (seen[0][1][batch.mask] == model.mask_latent).all()
+    assert torch.equal(seen[0][1][batch.mask], seen[1][1][batch.mask])
+    sampling = replace(model.sampling, steps=1)
+    states = list(model.trajectory(text(), FRAMES, seeds=torch.arange(3), sampling=sampling))
+    assert len(states) == 2
+    assert torch.equal(states[1][0].sampled.cpu(), batch.mask)
+
+
+def test_the_share_of_noise_is_an_option():
+    def noised(share: float) -> float:
+        drawn = MarDraws.draw(
+            (400, 12, 6),
+            make().process,
+            repeats=1,
+            noise_share=share,
+            condition_drop=0.1,
+            generator=torch.Generator().manual_seed(0),
+            device=torch.device("cpu"),
+        )
+        return drawn.to_noise.float().mean().item()
+
+    assert noised(0.0) == 0
+    assert noised(0.5) == pytest.approx(0.5, abs=0.03)
+    model = make(noise_share=0.0, mask_share=1.0)
+    drawn = model._draw(latents().values, torch.Generator().manual_seed(0), (0, 1))
+    assert not drawn.to_noise.any()
+    assert drawn.to_mask.all()
+    for wrong in ({"noise_share": 1.5}, {"mask_share": -1}, {"mask_ratio": "none"}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            make(**wrong)
+
+
 def test_ranks_average_to_the_loss_of_one_process(monkeypatch):
     """Let two ranks of different row counts share them as a process group does."""
     model, batch = make(), latents(torch.tensor([48, 20, 36, 8]))

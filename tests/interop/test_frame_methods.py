@@ -121,6 +121,12 @@ def test_remodiffuse_round_trip():
     assert torch.equal(made[0], made[2])
 
 
+def test_remodiffuse_s_file_tells_its_frames():
+    content = {"state_dict": {"model.joint_embed.weight": torch.zeros(4, 263)}}
+    frames = interop.load("frames", content)
+    assert (frames.representation.width, frames.representation.variant) == (263, "published")
+
+
 def test_texts_of_another_width_than_the_model_s_have_no_published_form():
     with pytest.raises(ValueError, match="retrieved texts of 6 numbers are projected to the model's width 12"):
         remodiffuse.export(make_remodiffuse(retrieved_dim=None))

@@ -42,6 +42,7 @@ def table() -> dict:
             row("b_%", "method", runs([0.51, 0.53], [3.0, 3.1])),
             row("c", "method", [], {"r1": [0.47, 0.003]}),
             row("d", "method", None),
+            row("e", "method", None) | {"cannot": "it knows no time"},
         ],
         "corpus": "open-mocap",
         "scale": "tiny",
@@ -91,22 +92,26 @@ def test_missing_rows_say_so(table, tmp_path):
     files = texts(table, tmp_path)
     assert "| C | not yet run |  |  |" in files["table.md"]
     assert "| D | not in Kinema yet |  |  |" in files["table.md"]
+    assert "| E | cannot |  |  |" in files["table.md"]
+    assert "E: it knows no time" in files["table.md"]
     for text in (files["table.md"], files["index.html"]):
         assert "Not yet run: C." in text
         assert "Not in Kinema yet: D." in text
 
 
 @pytest.mark.parametrize(
-    ("corpus", "comparable", "expected"),
+    ("corpus", "panel", "comparable", "expected"),
     [
-        ("open-mocap", False, "Corpus: open-mocap; scale: tiny. The paper's numbers are HumanML3D results and are not"),
-        ("kit_ml", False, "numbers are KIT-ML results of full-size training and are not comparable"),
-        ("humanml3d", True, "Corpus: HumanML3D; scale: tiny. The paper's numbers are of the same corpus."),
-        (None, False, "Corpus: not recorded"),
+        ("open-mocap", "humanml3d", False, "tiny. The paper's numbers are HumanML3D results and are not comparable"),
+        ("synthetic_kit", "kit_ml", False, "The paper's numbers are KIT-ML results and are not comparable"),
+        ("synthetic_kit", None, False, "Corpus: synthetic_kit; scale: tiny. The paper has no numbers of such motion."),
+        ("kit_ml", "kit_ml", False, "numbers are KIT-ML results of full-size training and are not comparable"),
+        ("humanml3d", "humanml3d", True, "Corpus: HumanML3D; scale: tiny. The paper's numbers are of the same corpus."),
+        (None, "humanml3d", False, "Corpus: not recorded"),
     ],
 )
-def test_corpus_is_named(table, tmp_path, corpus, comparable, expected):
-    files = texts({**table, "corpus": corpus, "comparable": comparable}, tmp_path)
+def test_corpus_is_named(table, tmp_path, corpus, panel, comparable, expected):
+    files = texts({**table, "corpus": corpus, "panel": panel, "comparable": comparable}, tmp_path)
     assert expected in files["table.md"]
     assert expected in files["table.tex"]
     assert expected.replace("'", "&#x27;") in files["index.html"]

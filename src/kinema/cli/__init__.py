@@ -11,8 +11,20 @@ from typing import Any
 
 from kinema import __version__
 
-TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq", "frames")
-GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm", "mdm", "motiondiffuse", "remodiffuse")
+TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq", "frames", "mld-vae")
+GENERATORS = (
+    "mardm",
+    "t2m-gpt",
+    "attt2m",
+    "mmm",
+    "bad",
+    "momask",
+    "bamm",
+    "mdm",
+    "motiondiffuse",
+    "remodiffuse",
+    "mld",
+)
 KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
 PARTS = ("upper", "lower")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from kinema.decoding.draws import SeededDraws
+from kinema.evaluation.counting import NetworkCounter
 from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import kept_frames, paste, task_slots
@@ -231,13 +232,22 @@ class Generated(Source):
             raise ValueError("lengths=predicted needs a generator that ends its sequences itself or a length estimator")
         self.model, self.lengths, self.sampling, self.label = model.eval(), lengths, sampling, label
         self.text_encoder = model.text_encoder
+        self.counter = NetworkCounter(model.generator.networks)
+        self.batches = self.motions = 0
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Generate one motion per caption."""
         text = encode_captions(self.text_encoder, batch)
         frames = batch.lengths if self.lengths == "real" else None
         made = self.model.sample(text, frames, seeds=seeds, sampling=self.sampling)
+        self.batches, self.motions = self.batches + 1, self.motions + len(seeds)
         return answer(batch, made.features, made.lengths)
+
+    def measured(self) -> dict[str, float]:
+        """Return how often a batch calls the networks that the generator names, and a motion's rows through them."""
+        counted = self.counter.take(self.batches, self.motions)
+        self.batches = self.motions = 0
+        return counted
 
 
 class Edited(Source):

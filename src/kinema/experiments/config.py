@@ -34,6 +34,7 @@ SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation
 def register_resolvers() -> None:
     """Make ${corpus:HUMANML3D,KIT} known to OmegaConf."""
     OmegaConf.register_new_resolver("corpus", _corpus, replace=True)
+    OmegaConf.register_new_resolver("product", lambda a, b: a * b, replace=True)
 
 
 def _corpus(humanml3d: Any, kit: Any, *, _root_: DictConfig) -> Any:

@@ -51,6 +51,18 @@ def missing_jobs(rows: Iterable[TableRow], shared: list[str]) -> list[Job]:
                 reads.add(path)
         scored = (*shared, *row_overrides(row.spec))
         jobs[row.place.folder.path] = Job(EVALUATE, scored, row.place.folder.path, frozenset(reads))
+    return _longest_first(jobs)
+
+
+def missing_runs(wanted: Iterable[tuple[DictConfig, Stage, list[str]]]) -> list[Job]:
+    """Return a job for each lacking run of some stages, (configuration, stage, overrides), and of what they read."""
+    jobs: dict[Path, Job] = {}
+    for cfg, stage, overrides in wanted:
+        _add_stage(jobs, cfg, stage, overrides)
+    return _longest_first(jobs)
+
+
+def _longest_first(jobs: dict[Path, Job]) -> list[Job]:
     return sorted(jobs.values(), key=lambda job: -_height(job, jobs))
 
 

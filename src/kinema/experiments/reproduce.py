@@ -1,6 +1,6 @@
 """Reproduce a table: run what its rows lack, on this machine or as Hydra multiruns of a launcher, then render it.
 
-`kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`
+`kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`; studies (conf/study) alike.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from itertools import product
 from pathlib import Path
 
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, missing_jobs, processes, run_jobs
+from kinema.experiments.studies import reproduce_study, studies
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -23,7 +24,7 @@ from kinema.runs.parts import upstream
 def main(arguments: list[str] | None = None) -> None:
     """Parse the command line and reproduce the table."""
     parser = argparse.ArgumentParser(prog="kinema reproduce", description=__doc__)
-    parser.add_argument("table", help="a file of conf/table, for instance table5")
+    parser.add_argument("table", help="a file of conf/table or conf/study, for instance table5")
     parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")
     parser.add_argument("--render-only", action="store_true", help="render what there is; run nothing")
     parser.add_argument(
@@ -40,7 +41,11 @@ def main(arguments: list[str] | None = None) -> None:
 def reproduce(
     name: str, overrides: list[str], *, render_only: bool = False, jobs: int | None = None, out: Path | None = None
 ) -> None:
-    """Run the missing stages and replications of a table and render it."""
+    """Run the missing stages and replications of a table (or what a study lacks) and render it."""
+    if name in studies():
+        for path in reproduce_study(name, overrides, render_only=render_only, jobs=jobs, out=out):
+            console.print(f"wrote     {path}")
+        return
     table = load_table(name)
     shared = [o for o in overrides if not o.startswith("launcher=")]
     rows = plan(table, shared)

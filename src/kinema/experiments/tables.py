@@ -14,6 +14,9 @@ from kinema.experiments.evaluation import Row, describe
 WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
 """Config groups that a table takes from its caller; the rest is the table's own."""
 
+PANELS = {"humanml3d": "humanml3d", "kit": "kit_ml"}
+"""The panel of a paper's table that shows motion of a skeleton."""
+
 
 @dataclass(frozen=True)
 class TableRow:
@@ -44,7 +47,7 @@ def load_table(name: str) -> dict[str, Any]:
 
 
 def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
-    """Compose every row's configuration and find its folder."""
+    """Compose every row's configuration and find its folder; a row of the other `panel` is left out."""
     rows = []
     overrides = [*overrides, *table.get("overrides", [])]
     for spec in table["rows"]:
@@ -52,7 +55,8 @@ def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
             rows.append(TableRow(spec, None, None))
             continue
         cfg = compose([*overrides, *row_overrides(spec)], "evaluate")
-        rows.append(TableRow(spec, cfg, describe(cfg)))
+        if spec.get("panel", PANELS[cfg.data.skeleton]) == PANELS[cfg.data.skeleton]:
+            rows.append(TableRow(spec, cfg, describe(cfg)))
     return rows
 
 
@@ -63,9 +67,10 @@ def row_overrides(spec: dict[str, Any]) -> list[str]:
 
 
 def trained_by(row: TableRow) -> list[str]:
-    """Return the row's own overrides that training knows: all that is not about scoring."""
-    scoring = OmegaConf.load(CONF / "evaluate.yaml").keys()
-    return [o for o in row.spec.get("overrides", []) if o.split("=")[0].split(".")[0] not in scoring]
+    """Return the row's own overrides that training knows: all that is not about scoring or sampling."""
+    scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
+    own = [o for o in row.spec.get("overrides", []) if not o.startswith("generator.sampling.")]
+    return [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
@@ -74,13 +79,14 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     from kinema.report.site import render
 
     some = next(row.cfg for row in rows if row.cfg is not None)
-    paper = some.data.paper
-    published = table["paper"].get(paper or "humanml3d", {})
+    panel = PANELS[some.data.skeleton]
+    published = table["paper"].get(panel, {})
     results = {row.spec["key"]: _results(row) for row in rows}
     filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
     filled.pop("paper")
     beside = filled.pop("beside", [])
-    filled["comparable"] = paper is not None and some.scale.name == "paper"
+    filled["panel"] = panel if published else None
+    filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
     filled["corpus"] = some.data.name
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(rows, command)
@@ -129,7 +135,8 @@ def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, An
         "key": spec["key"],
         "label": spec["label"],
         "kind": spec["kind"],
-        "note": "; ".join(note for note in (spec.get("note", ""), _lengths_note(row)) if note),
+        "note": "; ".join(note for note in (spec.get("note", ""), _lengths_note(row), _steps_note(row)) if note),
+        "cannot": spec.get("cannot"),
         "published": published.get(spec["key"]),
         "results": results,
     }
@@ -142,6 +149,15 @@ def _lengths_note(row: TableRow) -> str:
     if row.cfg.lengths == "real":
         return "lengths of the test clips"
     return "lengths predicted by " + ("the method" if row.cfg.generator.get("predicts_length") else "an estimator")
+
+
+def _steps_note(row: TableRow) -> str:
+    """Say so where a diffusion model takes fewer steps than it was trained with."""
+    if row.cfg is None or row.cfg.source != "generation":
+        return ""
+    trained = OmegaConf.select(row.cfg, "generator.model.process.steps")
+    taken = OmegaConf.select(row.cfg, "generator.sampling.solver_steps")
+    return "" if trained is None or taken in (None, trained) else f"sampled in {taken} of its {trained} diffusion steps"
 
 
 def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:

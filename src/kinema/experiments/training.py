@@ -128,6 +128,8 @@ def generator_module(
     """Wire a model of latents to the captions, and to the latents of a tokenizer or the number of frames alone."""
     device = find_device(cfg.trainer.accelerator)
     text = encode_captions(text_encoder(cfg, device), store, "train", "val")
+    if model.lacks_empty_text:
+        model.take_empty_text(text.empty())
     if tokenizer_run is None:
         return GeneratorModule(model, recipe, cfg.seed, crop_lengths, text)
     tokenizer = read_model(tokenizer_run.path)
@@ -141,6 +143,8 @@ def generator_module(
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
 
 
-def crop_lengths(batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
+def crop_lengths(
+    batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
+) -> Latents:
     """Return latents that hold the number of frames alone (the length estimator reads nothing else)."""
     return Latents(lengths=batch.lengths, frames=batch.lengths)

@@ -31,12 +31,21 @@ class LatentModel(nn.Module, ABC):
     spec: dict[str, Any] | None = None
 
     @property
+    def lacks_empty_text(self) -> bool:
+        """Whether it needs the features of the empty text and has none; most models need none."""
+        return False
+
+    @property
     def codebook(self) -> Float[Tensor, "k d"] | None:
         """The copy of the tokenizer's code vectors that this model reads; None if it reads none."""
         return None
 
     def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
         """Take what the model keeps of its tokenizer and their range, and weights to start from, before training."""
+
+    def take_empty_text(self, text: TextFeatures) -> None:
+        """Take the features of one empty text; raises ValueError for a model that reads none."""
+        raise ValueError(f"{type(self).__name__} reads no empty text")
 
     @abstractmethod
     def loss(
@@ -61,6 +70,11 @@ class Generator(LatentModel):
     sampling: Any
     predicts_length: bool = False
     parts: tuple[str, ...] = ()
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The modules whose calls are what sampling costs, by name: `denoiser` is a diffusion's."""
+        return {}
 
     def attach(self, part: str, module: nn.Module) -> None:
         """Take a part, neither saved nor trained with this module; raises ValueError for one it has no use for."""

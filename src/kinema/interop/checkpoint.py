@@ -59,8 +59,10 @@ def unwrap(content: Mapping[str, Any], wrappers: Sequence[str], *, several: bool
 
     `wrappers` names the entries that may hold it, the preferred first; with `several` they hold a part each and the
     result keeps their names as key prefixes. A bare state dict passes, with or without those prefixes. `module.` (data
-    parallel) and the frozen text encoder (`clip_model.*`) are removed.
+    parallel) and the frozen text encoder (`clip_model.*`) are removed. A Lightning file has one more wrapper.
     """
+    if isinstance(content.get("state_dict"), Mapping):
+        content = content["state_dict"]
     parts = {name: content[name] for name in wrappers if isinstance(content.get(name), Mapping)}
     if not parts:
         for name in wrappers:

@@ -61,6 +61,8 @@ class TextToMotion:
             if name != LENGTH:
                 generator.attach(name, part)
         check_pair(tokenizer, generator)
+        if generator.lacks_empty_text:  # a published file does not hold it
+            generator.take_empty_text(text_encoder.empty())
 
     @property
     def skeleton(self) -> Skeleton:

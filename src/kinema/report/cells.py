@@ -52,7 +52,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Line:
-    """Hold one row, its cells in the order of the columns."""
+    """Hold one row, its cells in the order of the columns; what is not `possible` says why in its note."""
 
     key: str
     label: str
@@ -60,11 +60,14 @@ class Line:
     note: str
     replications: int
     implemented: bool
+    possible: bool
     cells: tuple[Cell, ...]
 
     @property
     def state(self) -> str:
         """The number of replications, or say that there is none."""
+        if not self.possible:
+            return "cannot"
         if not self.implemented:
             return "not in Kinema yet"
         return str(self.replications) if self.replications else "not yet run"
@@ -121,7 +124,9 @@ def _line(row: dict[str, Any], columns: tuple[Column, ...]) -> Line:
         found = [float(r[column.key]) for r in results if r.get(column.key) is not None]
         cells.append(Cell(measure(found), _published(published.get(column.key))))
     label = row.get("label", row["key"])
-    return Line(row["key"], label, row["kind"], row.get("note") or "", len(results), implemented, tuple(cells))
+    why = row.get("cannot") or ""
+    note = why or row.get("note") or ""
+    return Line(row["key"], label, row["kind"], note, len(results), implemented, not why, tuple(cells))
 
 
 def _published(value: Any) -> Value | None:

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[Motion]] | None = None) -> list[Path]:
     """Write table.md, table.csv, table.tex and index.html into `out_dir` and give their paths.
 
-    `table` has name, title, columns, rows and, if known, corpus, scale, comparable (whether the published numbers are
-    of the same corpus and scale), provenance, footnotes and breakdowns. `motions` are shown by row key.
+    `table` has name, title, columns, rows and, if known, corpus, scale, panel (the corpus of the published numbers),
+    comparable (whether corpus and scale are the same), provenance, footnotes and breakdowns. `motions` are shown by row
+    key.
     """
     main = grid(table, mark_best=table.get("mark_best", True))
     breakdowns = [(b["title"], grid(b)) for b in table.get("breakdowns", ()) if b["rows"]]

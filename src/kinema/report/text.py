@@ -14,11 +14,16 @@ PAPER_CORPORA = {"humanml3d": "HumanML3D", "kit_ml": "KIT-ML"}
 
 
 def notice(table: dict[str, Any]) -> str:
-    """Say which corpus the numbers are of, and whether the published ones may be held against them."""
+    """Say which corpus the numbers are of, and whether the published ones may be held against them.
+
+    `panel` is the corpus whose published numbers the table shows.
+    """
     corpus = str(table.get("corpus") or "not recorded")
     scale = table.get("scale")
-    paper = PAPER_CORPORA.get(corpus, "HumanML3D")
+    paper = PAPER_CORPORA.get(str(table.get("panel")))
     here = f"Corpus: {PAPER_CORPORA.get(corpus, corpus)}" + (f"; scale: {scale}" if scale else "")
+    if paper is None:
+        return f"{here}. The paper has no numbers of such motion."
     if table.get("comparable"):
         return f"{here}. The paper's numbers are of the same corpus."
     if corpus in PAPER_CORPORA:
@@ -31,7 +36,7 @@ def unfinished(main: Grid) -> list[str]:
     idle = [line for line in main.lines if not line.replications]
     groups = {
         "Not yet run": [line.label for line in idle if line.implemented],
-        "Not in Kinema yet": [line.label for line in idle if not line.implemented],
+        "Not in Kinema yet": [line.label for line in idle if not line.implemented and line.possible],
     }
     return [f"{what}: {', '.join(names)}." for what, names in groups.items() if names]
 

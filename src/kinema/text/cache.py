@@ -60,6 +60,10 @@ class CachedTextEncoder:
             rows = [index[text] for text in texts]
         return self._gather(list(texts), np.array(rows))
 
+    def empty(self) -> TextFeatures:
+        """Encode the empty text anew: it is asked for once in a training."""
+        return self.encoder.empty().to("cpu")
+
     def ensure(self, texts: list[str]) -> None:
         """Encode what the cache lacks, in chunks that are each on disk when the next begins."""
         missing = [text for text in dict.fromkeys(check_texts(texts)) if text not in self.features.index]

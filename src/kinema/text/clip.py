@@ -60,6 +60,10 @@ class ClipTextEncoder:
     def __call__(self, texts: list[str]) -> TextFeatures:
         return encode_in_chunks(check_texts(texts), self._encode)
 
+    def empty(self) -> TextFeatures:
+        """Encode the empty text: start and end alone."""
+        return encode_in_chunks([""], self._encode)
+
     @torch.no_grad()
     def _encode(self, texts: list[str]) -> tuple[Tensor, Tensor, Tensor]:
         padding = "max_length" if self.whole else "longest"

@@ -22,7 +22,8 @@ class FrozenTextEncoder(Protocol):
     """Turn texts into features without gradients.
 
     `identity` names the model and its weights, `dim` is the width of the pooled vector, `token_dim` of the token
-    features. The call returns features on the encoder's device in the order of the texts.
+    features. The call returns features on the encoder's device in the order of the texts, `empty` those of one empty
+    text, which the call refuses as a mistake.
     """
 
     identity: str
@@ -30,6 +31,8 @@ class FrozenTextEncoder(Protocol):
     token_dim: int
 
     def __call__(self, texts: list[str]) -> TextFeatures: ...
+
+    def empty(self) -> TextFeatures: ...
 
 
 def check_texts(texts: Iterable[object]) -> list[str]:

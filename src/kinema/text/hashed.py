@@ -27,7 +27,13 @@ class HashedTextEncoder:
         self.identity = f"hashed-{dim}"
 
     def __call__(self, texts: list[str]) -> TextFeatures:
-        texts = check_texts(texts)
+        return self._encode(check_texts(texts))
+
+    def empty(self) -> TextFeatures:
+        """Encode the empty text as a word of its own."""
+        return self._encode([""])
+
+    def _encode(self, texts: list[str]) -> TextFeatures:
         rows = [np.stack([word_vector(w, self.dim) for w in split_words(text)]) for text in texts]
         lengths = torch.tensor([len(r) for r in rows])
         tokens = torch.zeros(len(texts), int(lengths.max()), self.dim)

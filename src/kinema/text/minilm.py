@@ -54,6 +54,10 @@ class MiniLMTextEncoder:
     def __call__(self, texts: list[str]) -> TextFeatures:
         return encode_in_chunks(check_texts(texts), self._encode)
 
+    def empty(self) -> TextFeatures:
+        """Encode the empty text: start and end alone."""
+        return encode_in_chunks([""], self._encode)
+
     @torch.no_grad()
     def _encode(self, texts: list[str]) -> tuple[Tensor, Tensor, Tensor]:
         batch = self.tokenizer(texts, padding=True, truncation=True, max_length=MAX_TOKENS, return_tensors="pt")

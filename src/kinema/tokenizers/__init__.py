@@ -17,12 +17,14 @@ class MotionTokenizer(nn.Module, ABC):
     """Map motion to latents and back; owns the representation that it was trained on.
 
     `space` says what it makes. `deterministic`: the same motion always has the same latents, so that they can be
-    cached; if not, `encode` draws from its `generator`, and without one gives the likeliest. `spec` rebuilds it.
+    cached; if not, `encode` draws from its `generator`, and without one gives the likeliest. `copies`: latents are the
+    motion's own numbers, which a cache would only multiply. `spec` rebuilds it.
     """
 
     space: LatentSpace
     representation: Representation
     deterministic: bool = True
+    copies: bool = False
     spec: dict[str, Any] | None = None
 
     @property

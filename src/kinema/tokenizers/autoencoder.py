@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
@@ -15,12 +17,16 @@ from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 ROOT = 4
 """Dims of the root: yaw velocity, velocity x and z, height; they come first in every representation."""
 
+ERRORS = {"smooth_l1": F.smooth_l1_loss, "l1": F.l1_loss, "l2": F.mse_loss}
+"""How far two rows are apart: the published codes' SmoothL1, or what the papers' equations say."""
+
 
 class AutoEncoder(MotionTokenizer):
     """Encode motion (b, t, d) to raw latents (b, t // 4, latent_dim) and back, without a bottleneck regulariser.
 
     `mask_padding` makes a clip's result independent of the padding of its batch: equal to the clip alone. False is
-    what the published code does (padding past a clip's end leaks into its last frames).
+    what the published code does (padding past a clip's end leaks into its last frames). `error` is one of `ERRORS`:
+    "l1" with joint_weight=0 is the paper's loss (Eq. 8).
     """
 
     def __init__(
@@ -35,9 +41,11 @@ class AutoEncoder(MotionTokenizer):
         dropout: float = 0.2,
         joint_weight: float = 1.0,
         root_weight: float = 0.0,
+        error: str = "smooth_l1",
         mask_padding: bool = True,
     ) -> None:
         super().__init__()
+        self.error = get_error(error)
         net = {"width": width, "levels": down_levels, "depth": depth, "dilation_growth": dilation_growth}
         self.representation = representation
         self.encoder = ConvEncoder(representation.width, latent_dim, **net, dropout=dropout)
@@ -51,9 +59,9 @@ class AutoEncoder(MotionTokenizer):
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Return SmoothL1 over all dims plus `joint_weight` times SmoothL1 over the joint positions (MARDM §3).
+        """Return the error over all dims plus `joint_weight` times that over the joint positions (MARDM §3).
 
-        The paper's Eq. 8 is L1; the published code, which this follows, takes SmoothL1 and adds the joints' term.
+        The paper's Eq. 8 is L1; the published code and the defaults take SmoothL1 and add the joints' term.
         `root_weight` adds the same term for the four root dims (not published: 0): a small autoencoder spends little on
         4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames.
         """
@@ -61,7 +69,7 @@ class AutoEncoder(MotionTokenizer):
         counts = self.space.latents_of(motion.lengths)
         output = self._decode(self._encode(target, motion.lengths), counts)
         real = frame_mask(self.space.covered(motion.lengths), output.shape[1])
-        error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
+        error = self.error(output, target[:, : output.shape[1]], reduction="none")
         reconstruction = mean_of_real(error, real)
         joints = mean_of_real(error[..., self.representation.groups["joints"]], real)
         loss = reconstruction + self.joint_weight * joints
@@ -98,6 +106,13 @@ class AutoEncoder(MotionTokenizer):
     def _padded(self, lengths: Int[Tensor, " b"], size: int) -> Int[Tensor, " b"] | None:
         """Return the lengths if something has to be masked."""
         return lengths if self.mask_padding and bool((lengths < size).any()) else None
+
+
+def get_error(name: str) -> Callable[..., Tensor]:
+    """Find a reconstruction error; raises ValueError naming those there are."""
+    if name not in ERRORS:
+        raise ValueError(f"error {name!r} is unknown; choose one of {', '.join(ERRORS)}")
+    return ERRORS[name]
 
 
 def require_frames(motion: MotionBatch, space: LatentSpace) -> None:

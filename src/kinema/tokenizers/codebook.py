@@ -32,6 +32,7 @@ class Quantized:
 
     `values` carry the gradient straight through to the input, `commit` draws the input to its code. `perplexity` is of
     this batch's codes (all ranks' in training); `dead_codes` is the share of codes that are (nearly) never chosen.
+    `embedding` draws the codes to the input, where they are learned by gradients.
     """
 
     values: Float[Tensor, "b n d"]
@@ -39,6 +40,7 @@ class Quantized:
     commit: Float[Tensor, ""]
     perplexity: Float[Tensor, ""]
     dead_codes: Float[Tensor, ""]
+    embedding: Float[Tensor, ""] | None = None
 
 
 @runtime_checkable
@@ -173,14 +175,7 @@ class EMACodebook(nn.Module):
 
     def lookup(self, codes: Int[Tensor, "b n 1"]) -> Float[Tensor, "b n d"]:
         """Return the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
-        wrong = codes[(codes < -1) | (codes >= self.codebook_size)]
-        if len(wrong):
-            raise ValueError(
-                f"token id {wrong[0].item()} is out of range; this codebook has the ids 0 to {self.codebook_size - 1} "
-                "(-1: no code): use the tokenizer that the tokens were made with"
-            )
-        codes = codes[..., 0]
-        return F.embedding(codes.clamp(min=0), self.codebook) * (codes >= 0)[..., None]
+        return look_up(codes, self.codebook)
 
     @torch.no_grad()
     def start_from(self, codebook: Float[Tensor, "k d"]) -> None:
@@ -245,6 +240,18 @@ class EMACodebook(nn.Module):
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         self._initialised = False
         super()._load_from_state_dict(*args, **kwargs)
+
+
+def look_up(codes: Int[Tensor, "b n 1"], codebook: Float[Tensor, "k d"]) -> Float[Tensor, "b n d"]:
+    """Return the vectors of codes, zeros for -1; raises ValueError for an id out of range."""
+    wrong = codes[(codes < -1) | (codes >= len(codebook))]
+    if len(wrong):
+        raise ValueError(
+            f"token id {wrong[0].item()} is out of range; this codebook has the ids 0 to {len(codebook) - 1} "
+            "(-1: no code): use the tokenizer that the tokens were made with"
+        )
+    codes = codes[..., 0]
+    return F.embedding(codes.clamp(min=0), codebook) * (codes >= 0)[..., None]
 
 
 def assign(

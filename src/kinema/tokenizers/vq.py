@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
 from kinema.tokenizers import MotionTokenizer
-from kinema.tokenizers.autoencoder import ROOT, mean_of_real, require_frames
+from kinema.tokenizers.autoencoder import ROOT, get_error, mean_of_real, require_frames
 from kinema.tokenizers.codebook import EMACodebook, Quantizer
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
@@ -23,7 +22,7 @@ class VQVAE(MotionTokenizer):
     `quantizer` (kinema.tokenizers.codebook.Quantizer; default T2M-GPT's codebook) has `codebook_size` codes of
     `code_dim` numbers. `encoder` maps (normalised rows b t d, lengths or None) to (b, t // 2**down_levels, code_dim);
     default is the published conv net. `auxiliary` names the columns whose error counts once more, by `joint_weight`:
-    the joint positions (which T2M-GPT calls velocities) or, in AttT2M, the velocities. `root_weight` and
+    the joint positions (which T2M-GPT calls velocities) or, in AttT2M, the velocities. `root_weight`, `error` and
     `mask_padding` are those of AutoEncoder.
     """
 
@@ -44,9 +43,11 @@ class VQVAE(MotionTokenizer):
         joint_weight: float = 0.5,
         commit_weight: float = 0.02,
         root_weight: float = 0.0,
+        error: str = "smooth_l1",
         mask_padding: bool = True,
     ) -> None:
         super().__init__()
+        self.error = get_error(error)
         quantizer = quantizer or EMACodebook(codebook_size, code_dim)
         check(representation, quantizer, codebook_size, code_dim, auxiliary)
         net = {"width": width, "levels": down_levels, "depth": depth, "dilation_growth": dilation_growth}
@@ -76,7 +77,7 @@ class VQVAE(MotionTokenizer):
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Return SmoothL1 over all dims plus weighted terms: the auxiliary columns' and the commitment (COMMON §4).
+        """Return the error over all dims plus weighted terms: the auxiliary columns' and the commitment (COMMON §4).
 
         Beside them stand `perplexity` and `dead_codes`, which nothing minimises. In training mode the quantiser learns.
         Means run over real frames and positions; draws are made for the global batch, as in the protocol.
@@ -87,11 +88,14 @@ class VQVAE(MotionTokenizer):
         quantized = self.quantizer(z, frame_mask(counts, z.shape[1]), generator, shard)
         output = self._decode(quantized.values, counts)
         real = frame_mask(self.space.covered(motion.lengths), output.shape[1])
-        error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
+        error = self.error(output, target[:, : output.shape[1]], reduction="none")
         reconstruction = mean_of_real(error, real)
         auxiliary = mean_of_real(error[..., self.representation.groups[self.auxiliary]], real)
         losses = {"reconstruction": reconstruction, self.auxiliary: auxiliary, "commit": quantized.commit}
         loss = reconstruction + self.joint_weight * auxiliary + self.commit_weight * quantized.commit
+        if quantized.embedding is not None:
+            losses["embedding"] = quantized.embedding
+            loss = loss + quantized.embedding
         if self.root_weight:
             losses["root"] = mean_of_real(error[..., :ROOT], real)
             loss = loss + self.root_weight * losses["root"]

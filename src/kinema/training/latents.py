@@ -1,6 +1,7 @@
 """Cache what a frozen tokenizer makes of every crop a clip can have (at most twelve), so that none is encoded twice.
 
-Continuous latents are kept as float32, codes as int32.
+Continuous latents are kept as float32, codes as int32; of latents that are drawn their moments, which are no costlier
+to keep than latents and spare the encoder, so that every step draws anew.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import torch
 from kinema.atomic import new_folder
 from kinema.data.datasets import ClipDataset
 from kinema.tokenizers import MotionTokenizer
+from kinema.tokenizers.posterior import PosteriorTokenizer, draw
 from kinema.types import Latents, MotionBatch
 
 BATCH = 64
@@ -28,14 +30,16 @@ class LatentCache:
 
     def __init__(self, folder: Path) -> None:
         meta = json.loads((folder / "meta.json").read_text())
-        self.dim, self.discrete = meta["dim"], meta["discrete"]
+        self.dim, self.discrete, self.drawn = meta["dim"], meta["discrete"], meta.get("drawn", False)
         self.values = np.load(folder / "values.npy", mmap_mode="r")
         keys = np.load(folder / "keys.npy")
         self.offsets = np.load(folder / "offsets.npy")
         self.rows = {tuple(key): i for i, key in enumerate(keys.tolist())}
 
-    def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
-        """Gather the latents of a batch of crops, zero beyond their lengths; nothing is drawn."""
+    def __call__(
+        self, batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
+    ) -> Latents:
+        """Gather the latents of a batch of crops, zero beyond their lengths, or draw them from their moments."""
         rows = [self.rows[crop] for crop in batch.crops]
         counts = self.offsets[np.array(rows) + 1] - self.offsets[rows]
         values = np.zeros((len(rows), int(counts.max()), self.dim), np.int64 if self.discrete else np.float32)
@@ -44,13 +48,15 @@ class LatentCache:
             values[i, : len(piece)] = piece
         device = batch.lengths.device
         found, lengths = torch.from_numpy(values).to(device), torch.from_numpy(counts).to(device)
-        return Latents(lengths=lengths, frames=batch.lengths, **{"codes" if self.discrete else "values": found})
+        latents = Latents(lengths=lengths, frames=batch.lengths, **{"codes" if self.discrete else "values": found})
+        return draw(latents, generator, shard) if self.drawn else latents
 
     def range(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the least and greatest value of each latent dimension."""
-        low, high = np.full(self.dim, np.inf, np.float32), np.full(self.dim, -np.inf, np.float32)
+        """Return the least and greatest value of each latent dimension; of drawn latents, of their means."""
+        width = self.dim // 2 if self.drawn else self.dim
+        low, high = np.full(width, np.inf, np.float32), np.full(width, -np.inf, np.float32)
         for start in range(0, len(self.values), 65536):
-            block = self.values[start : start + 65536]
+            block = self.values[start : start + 65536, :width]
             low, high = np.minimum(low, block.min(0)), np.maximum(high, block.max(0))
         return torch.from_numpy(low), torch.from_numpy(high)
 
@@ -77,6 +83,7 @@ class LatentCache:
         counts = np.array([tokenizer.space.latents_of(n) for _, _, n in crops])
         offsets = np.concatenate([[0], np.cumsum(counts)])
         tokenizer = tokenizer.to(device).eval()
+        keep = tokenizer.moments if isinstance(tokenizer, PosteriorTokenizer) else tokenizer.encode
         values = None
         start = 0
         while start < len(order):
@@ -86,7 +93,7 @@ class LatentCache:
             motion = MotionBatch(
                 torch.from_numpy(features).to(device), torch.full((len(chunk),), frames, device=device)
             )
-            latents = tokenizer.encode(motion)
+            latents = keep(motion)
             discrete = latents.codes is not None
             encoded = latents.content.cpu().numpy()
             if values is None:
@@ -103,13 +110,14 @@ class LatentCache:
         meta = {
             "dim": int(values.shape[1]),
             "discrete": values.dtype == np.int32,
+            "drawn": isinstance(tokenizer, PosteriorTokenizer),
             "crops": len(crops),
         }
         (folder / "meta.json").write_text(json.dumps(meta))
 
 
 class EncodeEachTime:
-    """Encode every batch anew: frames as they are, and latents that are drawn (a VAE's) or of augmented motion."""
+    """Encode every batch anew: frames as they are, and latents that are drawn in some other way than from moments."""
 
     def __init__(
         self, tokenizer: MotionTokenizer, clips: list[ClipDataset] | None = None, device: torch.device | str = "cpu"
@@ -117,7 +125,9 @@ class EncodeEachTime:
         self.tokenizer, self.clips, self.device = tokenizer.to(device).eval(), clips or [], device
 
     @torch.no_grad()
-    def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents:
+    def __call__(
+        self, batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
+    ) -> Latents:
         """Encode the batch without gradients; what is drawn comes from `generator`."""
         return self.tokenizer.encode(batch.to(self.device), generator=generator)
 
@@ -137,10 +147,11 @@ class EncodeEachTime:
 def latent_source(
     folder: Path, tokenizer: MotionTokenizer, clips: list[ClipDataset], device: torch.device | str
 ) -> LatentCache | EncodeEachTime:
-    """Choose where a tokenizer's latents come from: looked up if they are always the same and no frames, else made.
+    """Choose where a tokenizer's latents come from: looked up if they or their moments are the same and no copies.
 
     A cache of every crop's frames would be many times the corpus (31 GB for HumanML3D).
     """
-    if tokenizer.space.kind == "frames" or not tokenizer.deterministic:
+    cacheable = tokenizer.deterministic or isinstance(tokenizer, PosteriorTokenizer)
+    if tokenizer.copies or not cacheable:
         return EncodeEachTime(tokenizer, clips, device)
     return LatentCache.ensure(folder, tokenizer, clips, device)

@@ -31,9 +31,14 @@ class Unregistered:
 
 @runtime_checkable
 class LatentSource(Protocol):
-    """Return the latents of a batch of crops (encoded, or looked up); what is drawn comes from `generator`."""
+    """Return the latents of a batch of crops (encoded, or looked up).
 
-    def __call__(self, batch: MotionBatch, generator: torch.Generator | None = None) -> Latents: ...
+    What is drawn comes from `generator`, for the batch that `shard` is of.
+    """
+
+    def __call__(
+        self, batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
+    ) -> Latents: ...
 
 
 @runtime_checkable
@@ -120,7 +125,7 @@ class GeneratorModule(StageModule):
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
         """Predict the latents of each motion from its caption."""
         with torch.no_grad():
-            latents = self.latents.value(batch, generator).to(self.device)
+            latents = self.latents.value(batch, generator, shard).to(self.device)
             text = self.text.value(batch.texts).to(self.device)
         text.clip_ids = batch.clip_ids
         return self.model_loss(latents, text, generator=generator, shard=shard)

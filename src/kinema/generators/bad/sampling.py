@@ -10,10 +10,11 @@ from torch import Tensor
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.generators.tokens.request import TokenRequest
-from kinema.masking import ranks, shrinking_counts
+from kinema.masking import paper_counts, ranks, shrinking_counts
 
 SAMPLERS = ("oaas", "cbs", "rs")
 ORDERS = ("random", "arranged")
+SCHEDULES = ("shrinking", "paper")
 RANDOM_SAMPLING = 1
 """The stream of the order in which RS keeps tokens, apart from the order that the mask tokens name."""
 
@@ -24,7 +25,8 @@ class BadSampling:
 
     sampler="oaas" (order-agnostic autoregressive) keeps tokens in their permutation's order, "cbs" the most confident
     ones, "rs" random ones. `temperature` None is 0 (the likeliest codes) for oaas and 1 for the others, as published.
-    `orders` is the permutation: "random", or "arranged" from left to right. `official_inference_mask` reproduces the
+    `orders` is the permutation: "random", or "arranged" from left to right. `schedule` "shrinking", as published, takes
+    fewer steps for a shorter motion, "paper" all of them for every length. `official_inference_mask` reproduces the
     published samplers: their attention mask, edits with orders and counts of the free positions less one, and the early
     stop of a batch of one.
     """
@@ -33,14 +35,20 @@ class BadSampling:
     steps: int = 10
     temperature: float | None = None
     orders: str = "random"
+    schedule: str = "shrinking"
     official_inference_mask: bool = False
 
     def __post_init__(self) -> None:
-        for name, allowed in (("sampler", SAMPLERS), ("orders", ORDERS)):
+        for name, allowed in (("sampler", SAMPLERS), ("orders", ORDERS), ("schedule", SCHEDULES)):
             if getattr(self, name) not in allowed:
                 raise ValueError(
                     f"sampling.{name} {getattr(self, name)!r} is unknown; choose one of {', '.join(allowed)}"
                 )
+        if self.official_inference_mask and self.schedule != "shrinking":
+            raise ValueError(
+                f"sampling.schedule {self.schedule!r} is not what the published samplers do; set "
+                "official_inference_mask=false, or schedule=shrinking"
+            )
         if self.steps < 1:
             raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
         if self.temperature is not None and self.temperature < 0:
@@ -94,6 +102,8 @@ def plan(
     lengths, masked = request.lengths.cpu(), free.sum(dim=1).cpu()
     if sampling.official_inference_mask:
         counts = _official_counts(lengths, masked, sampling, editing, direction, max_latents)
+    elif sampling.schedule == "paper":
+        counts = paper_counts(masked, sampling.steps)
     else:
         counts = shrinking_counts(lengths, sampling.steps, max_latents, masked)
     return BadPlan(request.lengths, free, orders, priority, counts.to(device), sampling.official_inference_mask)

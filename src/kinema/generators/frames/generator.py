@@ -1,12 +1,13 @@
-"""Diffuse whole sequences of frames under a text: the loss, the sampler and edits that all such methods share."""
+"""Diffuse whole sequences, of frames or latents, under a text: the loss, the sampler and edits that methods share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import cast
 
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.diffusion.ddpm import DDPM
@@ -16,7 +17,7 @@ from kinema.diffusion.noise import sequence_noise
 from kinema.generators import Generator
 from kinema.generators.draws import share_of
 from kinema.generators.frames.denoiser import Denoiser
-from kinema.generators.frames.sampling import FrameSampling, Kept
+from kinema.generators.frames.sampling import DiffusionSampling, FrameSampling, Kept
 from kinema.generators.frames.training import FrameDraws, without_text
 from kinema.generators.lengths import requested_lengths
 from kinema.generators.values import check_latents
@@ -28,10 +29,10 @@ Average = Callable[[Float[Tensor, "b n c"], Bool[Tensor, "b n"]], Float[Tensor, 
 """Turn the errors of features, and the mask of real frames, into rows whose mean is the loss."""
 
 
-class FrameDiffusion(Generator):
-    """Diffuse frames of motion, `frame_dim` features each.
+class SequenceDiffusion(Generator):
+    """Diffuse the whole of a motion at once: all its frames, or the latents that stand for it.
 
-    `mask_frames` hides padding from the frames; without it a motion is the start of one of `max_frames`, in training
+    `mask_frames` hides padding from the frames; without it a motion is the start of one of `space.most`, in training
     and in sampling. `average` makes the rows of the loss: `per_sequence` or `per_frame`. `condition_drop` is the share
     of texts that training drops; 0 leaves no empty text to be guided from. `draws_type` is what a step draws.
     """
@@ -43,20 +44,24 @@ class FrameDiffusion(Generator):
         denoiser: Denoiser,
         process: DDPM | Flow,
         *,
-        frame_dim: int,
-        max_frames: int,
+        space: LatentSpace,
         condition_drop: float,
         mask_frames: bool,
         average: Average,
-        sampling: FrameSampling,
+        sampling: DiffusionSampling,
     ) -> None:
         super().__init__()
-        self.space, self.frame_dim = LatentSpace("frames", frame_dim, max_frames, unit=1), frame_dim
+        self.space, self.width = space, cast(int, space.width)  # None is for codes
         self.denoiser, self.process, self.sampling = denoiser, process, sampling
         self.condition_drop, self.mask_frames, self.average = condition_drop, mask_frames, average
         self.check_sampling(sampling)
 
-    def check_sampling(self, sampling: FrameSampling) -> None:
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The denoiser; a row is a motion."""
+        return {"denoiser": self.denoiser}
+
+    def check_sampling(self, sampling: DiffusionSampling) -> None:
         """Refuse a solver of another process, and guidance that training gave no ground."""
         super().check_sampling(sampling)
         self.process.resolve(sampling.solver, sampling.solver_steps)
@@ -65,6 +70,10 @@ class FrameDiffusion(Generator):
                 f"sampling.guidance is {sampling.guidance}, but condition_drop=0 gave this model no empty text to be "
                 "guided from; sample with guidance=1"
             )
+
+    def without_text(self, text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
+        """Take the text away from the samples in `drop` (None: from all); by default its features become zero."""
+        return without_text(text, drop)
 
     def loss(
         self,
@@ -92,7 +101,7 @@ class FrameDiffusion(Generator):
         self, x1: Float[Tensor, "b n c"], text: TextFeatures, draws: FrameDraws, real: Bool[Tensor, "b n"]
     ) -> Float[Tensor, "b n c"]:
         """Return the squared error of every feature of every frame."""
-        condition, seen = self.denoiser.read(without_text(text, draws.condition_drop))
+        condition, seen = self.denoiser.read(self.without_text(text, draws.condition_drop))
         shown = real if self.mask_frames else None
         return self.process.errors(
             lambda x, time: self.denoiser(x, time, condition, seen, shown), x1, draws.time, draws.noise
@@ -105,14 +114,16 @@ class FrameDiffusion(Generator):
         *,
         seeds: Int[Tensor, " b"],
         known: Known | None = None,
-        sampling: FrameSampling | None = None,
+        sampling: DiffusionSampling | None = None,
         noise: Iterator[Float[Tensor, "b n c"]] | None = None,
     ) -> Latents:
-        """Generate frames, or edit: regenerate the frames, or the features of them, that `known.mask` leaves free.
+        """Generate, or edit: regenerate the frames, or the features of them, that `known.mask` leaves free.
 
         A sample depends on its own seed only. `frames` None takes the lengths of `known`. Kept features come back
         bit-equal, padding is zero. `noise` replaces what the seeds draw: the start, then a draw per step (tests).
         """
+        if known is not None:
+            self.space.in_time("keeping a part of a motion")
         sampling = sampling or self.sampling
         device = next(self.parameters()).device
         lengths = requested_lengths(self.space, text, frames, seeds, known, device=device)
@@ -120,11 +131,11 @@ class FrameDiffusion(Generator):
         real = frame_mask(lengths, longest if self.mask_frames else self.space.most)
         shown = real if self.mask_frames else None
         drawn = real.sum(dim=1) if self.mask_frames else torch.full_like(lengths, self.space.most)
-        kept = None if known is None else Kept.of(known, lengths, real, self.frame_dim)
+        kept = None if known is None else Kept.of(known, lengths, real, self.width)
         with inference(self):
             values = self.process.sample(
                 self._predictor(text.to(device), shown, sampling, seeds),
-                noise or sequence_noise(seeds, drawn, self.frame_dim, device),
+                noise or sequence_noise(seeds, drawn, self.width, device),
                 solver=sampling.solver,
                 steps=sampling.solver_steps,
                 temperature=sampling.temperature,
@@ -132,14 +143,19 @@ class FrameDiffusion(Generator):
             )
         values = values if kept is None else kept.impose(values)
         values = values.masked_fill(~real[..., None], 0.0)
-        return Latents(lengths=lengths, frames=lengths, values=values[:, :longest])
+        counted = lengths if frames is None else frames.to(device)
+        return Latents(lengths=lengths, frames=counted, values=values[:, :longest])
 
     def _predictor(
-        self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: FrameSampling, seeds: Int[Tensor, " b"]
+        self,
+        text: TextFeatures,
+        shown: Bool[Tensor, "b n"] | None,
+        sampling: DiffusionSampling,
+        seeds: Int[Tensor, " b"],
     ) -> Predict:
         """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
         condition, seen = self.denoiser.read(text)
-        empty = None if sampling.guidance == 1 else self.denoiser.read(without_text(text))[0]
+        empty = None if sampling.guidance == 1 else self.denoiser.read(self.without_text(text))[0]
         scale = 1.0 if empty is None else sampling.weights().along(self.process.progress)
 
         def denoise(x: Tensor, time: Tensor, condition: Tensor) -> Tensor:
@@ -165,4 +181,30 @@ class FrameDiffusion(Generator):
             batch,
             shard,
             frames,
+        )
+
+
+class FrameDiffusion(SequenceDiffusion):
+    """Diffuse frames of motion, `frame_dim` features each and at most `max_frames`."""
+
+    def __init__(
+        self,
+        denoiser: Denoiser,
+        process: DDPM | Flow,
+        *,
+        frame_dim: int,
+        max_frames: int,
+        condition_drop: float,
+        mask_frames: bool,
+        average: Average,
+        sampling: FrameSampling,
+    ) -> None:
+        super().__init__(
+            denoiser,
+            process,
+            space=LatentSpace("frames", frame_dim, max_frames, unit=1),
+            condition_drop=condition_drop,
+            mask_frames=mask_frames,
+            average=average,
+            sampling=sampling,
         )

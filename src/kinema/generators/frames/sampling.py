@@ -1,4 +1,4 @@
-"""Hold the options of sampling by diffusion on frames, and what an edit keeps."""
+"""Hold the options of sampling by diffusion on whole sequences, and what an edit keeps."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from kinema.types import Known
 
 
 @dataclass(frozen=True)
-class FrameSampling:
-    """Choose how frames are sampled.
+class DiffusionSampling:
+    """Choose how whole sequences are sampled.
 
     `guidance` extrapolates from no text (0) over the text (1): inside `guidance_interval`, shares of the way from noise
     (0) to data (1), and with `guidance_growing` rising to it from 1. `solver` and `solver_steps` choose how the
@@ -37,6 +37,11 @@ class FrameSampling:
         """Return the guidance along the way from noise to data."""
         start, end = self.guidance_interval
         return Guidance(self.guidance, (start, end), self.guidance_growing)
+
+
+@dataclass(frozen=True)
+class FrameSampling(DiffusionSampling):
+    """Choose how frames are sampled, as any sequence."""
 
 
 @dataclass(frozen=True)

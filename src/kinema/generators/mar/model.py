@@ -17,7 +17,7 @@ from kinema.generators import Generator, TrainingLatents
 from kinema.generators.draws import share_of
 from kinema.generators.lengths import requested_lengths
 from kinema.generators.mar.sampling import MarSampling, plan, start
-from kinema.generators.mar.training import MarDraws, corrupt, training_mask
+from kinema.generators.mar.training import MASK_RATIOS, MarDraws, corrupt, training_mask
 from kinema.generators.values import check_latents
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
@@ -58,15 +58,26 @@ class MARDM(Generator):
         max_latents: int = 49,
         downsample: int = 4,
         mask_length: str = "padded",
+        mask_ratio: str = "cosine",
+        noise_share: float = 0.1,
+        mask_share: float = 0.88,
         sampling: MarSampling | None = None,
     ) -> None:
         super().__init__()
-        if mask_length not in MASK_LENGTHS:
-            raise ValueError(f"mask_length {mask_length!r} is unknown; choose one of {', '.join(MASK_LENGTHS)}")
+        for name, chosen, allowed in (
+            ("mask_length", mask_length, MASK_LENGTHS),
+            ("mask_ratio", mask_ratio, MASK_RATIOS),
+        ):
+            if chosen not in allowed:
+                raise ValueError(f"{name} {chosen!r} is unknown; choose one of {', '.join(allowed)}")
+        for name, share in (("noise_share", noise_share), ("mask_share", mask_share)):
+            if not 0 <= share <= 1:
+                raise ValueError(f"{name} is {share}; give a share in [0, 1]")
         self.condition_drop = condition_drop
         self.batch_multiplier = batch_multiplier
         self.space = LatentSpace("continuous", latent_dim, max_latents, downsample)
-        self.mask_length = mask_length
+        self.mask_length, self.mask_ratio = mask_length, mask_ratio
+        self.corruption = {"noise_share": noise_share, "mask_share": mask_share}
         self.sampling = sampling or MarSampling()
         process.resolve(self.sampling.solver, self.sampling.solver_steps)
         self.process = process
@@ -79,6 +90,11 @@ class MARDM(Generator):
         self.mlp = DiffusionMLP(latent_dim, width, mlp_width, mlp_depth)
         self.register_buffer("latent_min", torch.full((latent_dim,), -torch.inf))
         self.register_buffer("latent_max", torch.full((latent_dim,), torch.inf))
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The diffusion MLP, by its last layer, whose row is a latent, and the transformer, whose row is a motion."""
+        return {"denoiser": self.mlp.final, "transformer": self}
 
     def reset_parameters(self) -> None:
         """Initialise the transformer: Linears N(0, 0.02), biases and modulations 0. The MLP has its own rule."""
@@ -146,10 +162,9 @@ class MARDM(Generator):
         values, real = check_latents(latents, self.space), latents.mask
         x1 = values.detach() * real[:, :, None]
         draws = draws or self._draw(x1, generator, shard)
-        counted = latents.lengths if self.mask_length == "own" else latents.lengths.new_tensor([self.space.most])
-        mask = training_mask(draws, real, counted)
+        mask, shown = self._corrupted(x1, real, latents.lengths, draws)
         pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
-        z = self(corrupt(x1, mask, self.mask_latent, draws), pooled, real)
+        z = self(shown, pooled, real)
         rows = self._diffusion_loss(x1[mask], z[mask], draws.diffusion_time[mask], draws.diffusion_noise[mask])
         return {"loss": mean_over_ranks(rows, shard[1])}
 
@@ -223,6 +238,16 @@ class MARDM(Generator):
 
         return predict
 
+    def _corrupted(
+        self, x1: Float[Tensor, "b n c"], real: Bool[Tensor, "b n"], lengths: Int[Tensor, " b"], draws: MarDraws
+    ) -> tuple[Bool[Tensor, "b n"], Float[Tensor, "b n c"]]:
+        """Return which latents are predicted, and what the transformer sees."""
+        if self.mask_ratio == "all":
+            return real, torch.where(real[..., None], self.mask_latent, x1)
+        counted = lengths if self.mask_length == "own" else lengths.new_tensor([self.space.most])
+        mask = training_mask(draws, real, counted)
+        return mask, corrupt(x1, mask, self.mask_latent, draws)
+
     def _draw(
         self, latents: Float[Tensor, "b n c"], generator: torch.Generator | None, shard: tuple[int, int]
     ) -> MarDraws:
@@ -232,6 +257,7 @@ class MARDM(Generator):
                 (samples, self.space.most, channels),
                 self.process,
                 repeats=self.batch_multiplier,
+                **self.corruption,
                 condition_drop=self.condition_drop if self.training else 0.0,
                 generator=generator,
                 device=latents.device,

@@ -13,8 +13,7 @@ from kinema.diffusion.flow import Flow
 from kinema.generators.draws import StepDraws
 from kinema.masking import cosine_ratio, masked_count
 
-NOISE_SHARE = 0.1
-MASK_SHARE = 0.88
+MASK_RATIOS = ("cosine", "all")
 
 
 @dataclass
@@ -37,6 +36,8 @@ class MarDraws(StepDraws):
         process: DDPM | Flow,
         *,
         repeats: int,
+        noise_share: float = 0.1,
+        mask_share: float = 0.88,
         condition_drop: float,
         generator: torch.Generator | None,
         device: torch.device,
@@ -53,8 +54,8 @@ class MarDraws(StepDraws):
         return cls(
             mask_time=uniform(batch),
             permutation=uniform(batch, positions).argsort(dim=1),
-            to_noise=uniform(batch, positions) < NOISE_SHARE,
-            to_mask=uniform(batch, positions) < MASK_SHARE,
+            to_noise=uniform(batch, positions) < noise_share,
+            to_mask=uniform(batch, positions) < mask_share,
             corruption=normal(batch, positions, channels),
             condition_drop=uniform(batch) < condition_drop,
             diffusion_time=process.draw_times((batch, positions, repeats), generator, device),
@@ -71,7 +72,7 @@ def training_mask(draws: MarDraws, real: Bool[Tensor, "b n"], counted: Int[Tenso
 def corrupt(
     latents: Float[Tensor, "b n c"], mask: Bool[Tensor, "b n"], mask_latent: Float[Tensor, " c"], draws: MarDraws
 ) -> Float[Tensor, "b n c"]:
-    """Replace masked latents: 10 % by noise, 88 % of the others by the mask latent; the rest stay (MARDM §4)."""
+    """Replace masked latents: some (10 %) by noise, 88 % of the others by the mask latent; the rest stay (MARDM §4)."""
     noised = mask & draws.to_noise
     hidden = mask & ~draws.to_noise & draws.to_mask
     latents = torch.where(noised[..., None], draws.corruption.to(latents.dtype), latents)

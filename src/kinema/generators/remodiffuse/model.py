@@ -14,7 +14,7 @@ from kinema.diffusion.errors import per_frame
 from kinema.diffusion.flow import Flow
 from kinema.diffusion.guidance import Predict
 from kinema.generators.frames.generator import FrameDiffusion
-from kinema.generators.frames.sampling import FrameSampling
+from kinema.generators.frames.sampling import DiffusionSampling
 from kinema.generators.frames.training import FrameDraws
 from kinema.generators.remodiffuse.database import RetrievalDatabase, best
 from kinema.generators.remodiffuse.denoiser import ReMoDiffuseDenoiser
@@ -207,7 +207,11 @@ class ReMoDiffuse(FrameDiffusion):
         return (predicted.unflatten(0, (len(x), count)) * scale[..., None, None]).sum(dim=1)
 
     def _predictor(
-        self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: FrameSampling, seeds: Int[Tensor, " b"]
+        self,
+        text: TextFeatures,
+        shown: Bool[Tensor, "b n"] | None,
+        sampling: DiffusionSampling,
+        seeds: Int[Tensor, " b"],
     ) -> Predict:
         """Close over what all steps share: the text and the neighbours, of which the text and the length alone tell."""
         real, options = cast(Tensor, shown), cast(MixtureSampling, sampling)

@@ -1,0 +1,1 @@
+"""Measure what the MARDM paper (section 2) says of diffusion on motion features: marginals, deviations and errors."""

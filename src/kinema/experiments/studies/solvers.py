@@ -1,0 +1,125 @@
+"""Score every method with every solver on the validation split, and draw quality against network evaluations."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinema.experiments.reproduce import run_here, run_multiruns
+from kinema.experiments.studies.sections import Rows, Section, write_page
+from kinema.experiments.tables import TableRow, plan, provenance
+from kinema.report.cells import measure
+from kinema.runs.console import console
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DEFAULT = "default"
+QUALITIES = {"fid": "FID", "r3": "R@3"}
+COUNTS = {"denoiser_rows": "rows", "denoiser_calls": "calls", "transformer_rows": "transformer rows"}
+SHOWN = ("method", "solver", "steps", "rows", "calls", "transformer rows", "fid", "fid ±", "r3", "r3 ±", "n", "fast")
+
+
+def carry_out(
+    study: dict[str, Any],
+    overrides: list[str],
+    *,
+    render_only: bool = False,
+    jobs: int | None = None,
+    out: Path | None = None,
+) -> list[Path]:
+    """Score the points that are missing, and write the page; `render_only` writes what there is."""
+    shared = [o for o in overrides if not o.startswith("launcher=")]
+    table = {"rows": list(points(study)), "overrides": study["overrides"]}
+    rows = plan(table, shared)
+    if not render_only and not all(row.complete for row in rows):
+        if set(overrides) - set(shared) <= {"launcher=none"}:
+            run_here(rows, [*shared, *study["overrides"]], jobs)
+        else:
+            run_multiruns(rows, [*overrides, *study["overrides"]])
+        rows = plan(table, shared)
+    for row in rows:
+        if not row.complete:
+            console.print(f"[yellow]empty[/]     no complete results for {row.spec['label']}")
+    found = [results(row) for row in rows if row.lines]
+    for method in study["methods"]:
+        mark_fast([row for row in found if row["method"] == method["label"] and row["solver"] != DEFAULT])
+    shown = [{key: row.get(key) for key in SHOWN} for row in found]
+    section = Section("solvers", found, shown, partial(_draw, rows=found), (4 * len(study["methods"]) + 1, 6.5))
+    some = next(row.cfg for row in rows if row.cfg is not None)
+    facts = provenance(rows, shlex.join(["kinema", "reproduce", study["name"], *shared]))
+    facts.pop("sampling", None)  # the points say it
+    out = out or Path("reports") / f"{study['name']}-{some.data.name}-{some.scale.name}"
+    return write_page(study, [section], facts, out)
+
+
+def points(study: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Return a table's row for real motion, and for every method with its default, each solver and number of steps."""
+    yield {"key": "real", "label": "Real motion", "of": "Real motion", "source": "real"}
+    for spec in study["methods"]:
+        own = spec.get("overrides", [])
+        choices = [(DEFAULT, None)]
+        choices += [(s, n) for s, counts in study["solvers"][spec["solvers"]].items() for n in counts]
+        for solver, steps in choices:
+            count = "null" if steps is None else steps
+            chosen = [f"generator.sampling.solver={solver}", f"generator.sampling.solver_steps={count}"]
+            words = [spec["key"], solver, *([str(steps)] if steps else [])]
+            row = {"key": "-".join(words), "label": " ".join([spec["label"], *words[1:]]), "of": spec["label"]}
+            row |= {"source": "generation", "method": spec["method"], "solver": solver, "steps": steps}
+            yield row | {"overrides": own if solver == DEFAULT else [*own, *chosen]}
+
+
+def results(row: TableRow) -> dict[str, Any]:
+    """Return one point: what it costs and how good it is."""
+    spec, lines = row.spec, [line["metrics"] for line in row.lines]
+    found = {"key": spec["key"], "method": spec["of"], "solver": spec.get("solver", DEFAULT)}
+    found |= {"steps": spec.get("steps"), "n": len(lines)}
+    for name, shown in COUNTS.items():
+        counted = [metrics[name] for metrics in lines if name in metrics]
+        found[shown] = sum(counted) / len(counted) if counted else None
+    for name in QUALITIES:
+        value = measure([metrics[name] for metrics in lines])
+        if value is not None:
+            found |= {name: value.mean, f"{name} ±": value.half}
+    return found
+
+
+def mark_fast(rows: Rows) -> None:
+    """Mark the row of fewest network rows whose FID is within the interval of the best."""
+    if not rows:
+        return
+    best = min(rows, key=lambda row: row["fid"])
+    within = [row for row in rows if row["fid"] <= best["fid"] + (best["fid ±"] or 0.0)]
+    min(within, key=lambda row: row["rows"])["fast"] = "fast"
+
+
+def _draw(figure: Figure, rows: Rows) -> None:
+    """Draw a column of panels for each method: FID above, R@3 below; a line for each solver."""
+    real = next((row for row in rows if row["key"] == "real"), None)
+    methods = list(dict.fromkeys(row["method"] for row in rows if row is not real))
+    if not methods:
+        return
+    panels = figure.subplots(len(QUALITIES), len(methods), squeeze=False, sharey="row", sharex="col")
+    for j, method in enumerate(methods):
+        for axes, name in zip(panels[:, j], QUALITIES, strict=True):
+            own = [row for row in rows if row["method"] == method]
+            for solver in dict.fromkeys(row["solver"] for row in own):
+                line = sorted((row for row in own if row["solver"] == solver), key=lambda row: row["rows"])
+                x, y = [row["rows"] for row in line], [row[name] for row in line]
+                axes.errorbar(x, y, yerr=[row[f"{name} ±"] or 0 for row in line], marker=".", capsize=2, label=solver)
+            for row in own:
+                if row.get("fast"):
+                    axes.plot(row["rows"], row[name], "o", markersize=10, fillstyle="none", color="black", label="fast")
+            if real is not None and name != "fid":
+                axes.axhline(real[name], color="grey", linewidth=0.8, linestyle="--", label="real")
+            axes.set_xscale("log")
+            axes.set_yscale("log" if name == "fid" else "linear")
+            axes.grid(linewidth=0.4)
+        panels[0, j].set_title(method, fontsize=10)
+        panels[0, j].legend(fontsize=7)
+        panels[-1, j].set_xlabel("network rows for a motion", fontsize=8)
+    for axes, label in zip(panels[:, 0], QUALITIES.values(), strict=True):
+        axes.set_ylabel(label)
