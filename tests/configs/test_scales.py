@@ -33,7 +33,7 @@ PARTS = [
     )  # nothing to build, nothing to shrink; FSQ needs memory to be built
 ]
 METHOD_OF = {"rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
-METHOD_OF |= {"vae": "mld"} | {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "mld")}
+METHOD_OF |= {"vae": "mld"} | {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse", "mld")}
 
 composed = cache(lambda *overrides: compose(list(overrides)))
 

@@ -10,8 +10,10 @@ import pytest
 import torch
 
 from kinema.experiments.config import CONF
+from kinema.experiments.database import build_database
 from kinema.experiments.stages import get_stage
 from kinema.generators import Generator
+from kinema.generators.remodiffuse import ReMoDiffuse
 from kinema.pipeline import TextToMotion
 from kinema.types import Latents
 
@@ -31,7 +33,7 @@ class Few:
 
 @pytest.fixture(scope="session")
 def make(workshop):
-    """Give a method's parts: tokenizer, generator, residual transformer or None."""
+    """Give a method's parts: tokenizer, generator with its database if it has one, residual transformer or None."""
 
     @cache
     def made(method: str):
@@ -47,6 +49,9 @@ def make(workshop):
             if model.lacks_empty_text:
                 model.take_empty_text(workshop.text.empty())
             model.prepare(tokenizer, Few(latents))
+        if "retrieval" in models[0].parts:
+            database = build_database(workshop.store, workshop.text, tokenizer, max_frames=196)
+            models[0].attach("retrieval", database)
         return tokenizer, models[0], models[1] if len(models) > 1 else None
 
     return made
@@ -59,6 +64,8 @@ def pipeline(make, workshop):
     def made(method: str) -> TextToMotion:
         tokenizer, generator, residual = make(method)
         beside = {} if residual is None else {"residual": residual.eval()}
+        if isinstance(generator, ReMoDiffuse):
+            beside["retrieval"] = generator.database
         return TextToMotion(tokenizer, generator.eval(), workshop.text, beside, {"text": {"encoder": "hashed"}})
 
     return made
@@ -78,6 +85,7 @@ def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(make, work
     assert stage == "residual" or isinstance(model, Generator)
     batch = workshop.clips(8)
     latents, text = tokenizer.encode(batch), workshop.text(batch.texts)
+    text.clip_ids = batch.clip_ids
     model = deepcopy(model)
     with torch.no_grad():  # gates that start at zero would hide what they gate
         for parameter in model.parameters():

@@ -24,7 +24,7 @@ SOURCE = Path(__file__).resolve().parents[2] / "src"
 ALLOWED = {
     "kinema.experiments.stages": set(stages()),
     "kinema.runs.parts": set(stages()),
-    "kinema.generators": {"residual", "generator"},
+    "kinema.generators": {"residual", "retrieval", "generator"},
     "kinema.evaluation.metrics.retrieval": {"matching"},
     "kinema.experiments.evaluation": {"matching"},
     "kinema.experiments.tables": {"matching"},
@@ -53,7 +53,7 @@ def test_what_is_read_comes_first():
     for stage in stages().values():
         for other in (*needs_of(stage), *companions_of(stage)):
             assert place[other.name] < place[stage.name]
-    assert [other.name for other in needs_of(get_stage("generator"))] == ["tokenizer"]
+    assert [other.name for other in needs_of(get_stage("generator"))] == ["tokenizer", "retrieval"]
     assert [other.name for other in companions_of(get_stage("generator"))] == ["length", "residual"]
 
 
@@ -65,7 +65,7 @@ def test_an_unknown_stage_is_named_with_those_there_are():
 def test_a_stage_that_the_method_lacks_is_no_part_of_it(overrides):
     cfg = compose([*overrides, "method=mardm_sit", "tokenizer.model=null", "generator.model.latent_dim=8"])
     absent = {name for name, stage in stages().items() if not stage.present(cfg)}
-    assert absent == {"tokenizer", "residual"}
+    assert absent == {"tokenizer", "residual", "retrieval"}
     assert stage_identity(cfg, get_stage("generator"), "corpus")["upstream"] == {}
     for name in absent:
         with pytest.raises(ValueError, match=f"method mardm_sit has no stage {name}"):
@@ -154,7 +154,7 @@ def test_a_fitted_stage_is_a_name_and_a_node(add_stage, overrides):
     assert run.status["step"] == 24
     module, meta = load(run.weights)
     assert (meta["part"], module.representation.kind) == ("second", "essential")
-    assert list(upstream(run.path)) == ["tokenizer"]
+    assert list(upstream(run.path)) == ["tokenizer", "retrieval"]
     assert run_stage(cfg, "second").path == run.path
 
 

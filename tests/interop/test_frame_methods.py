@@ -10,7 +10,8 @@ from kinema import cli, interop
 from kinema.diffusion.ddpm import DDPM
 from kinema.generators.mdm import MDM
 from kinema.generators.motiondiffuse import MotionDiffuse
-from kinema.interop import mdm, motiondiffuse
+from kinema.generators.remodiffuse import MixtureSampling, ReMoDiffuse, RetrievalDatabase
+from kinema.interop import mdm, motiondiffuse, remodiffuse
 from kinema.motion.formats.arrays import load_npz
 from kinema.runs.build import build
 from kinema.types import TextFeatures, frame_mask
@@ -82,19 +83,72 @@ def test_motiondiffuse_round_trip(attention):
     assert_same(copy, model)
 
 
+def make_remodiffuse(**options) -> ReMoDiffuse:
+    torch.manual_seed(3)
+    sizes = {"width": 12, "feedforward": 20, "layers": 3, "heads": 2, "max_frames": 20, "embedding": 10, "stride": 3}
+    words = {"token_dim": 6, "retrieved_dim": 12, "text_width": 8, "text_feedforward": 10, "text_layers": 1}
+    process, sampling = DDPM(40, "linear", "x0"), MixtureSampling(solver_steps=4)
+    layers = {"retrieval_layers": 1, "retrieval_text_layers": 3, "neighbours": 3}
+    return filled(ReMoDiffuse(frame_dim=5, process=process, sampling=sampling, **(sizes | words | layers | options)))
+
+
+def make_database() -> RetrievalDatabase:
+    generator, rows = torch.Generator().manual_seed(4), torch.arange(4)
+    return RetrievalDatabase.holding(
+        pooled=torch.randn(4, 7, generator=generator),
+        tokens=[torch.randn(3, 12, generator=generator)] * 4,
+        frames=torch.randn(40, 5, generator=generator),
+        starts=10 * rows,
+        lengths=10 - rows,
+        families=rows,
+        captions=torch.stack((rows, rows), dim=1),
+        names=["a", "b", "c", "d"],
+    )
+
+
+def test_remodiffuse_round_trip():
+    model, database = make_remodiffuse(), make_database()
+    content = {"state_dict": {f"model.{k}": v for k, v in remodiffuse.export(model).items()}, "meta": {}}
+    sampling = {"solver_steps": 4}
+    copy = interop.load("remodiffuse", content, heads=2, steps=40, stride=3, neighbours=3, sampling=sampling)
+    rebuilt = build(copy.spec).eval()
+    rebuilt.load_state_dict(copy.state_dict())
+    made = []
+    for one in (model, copy, rebuilt):
+        one.attach("retrieval", database)
+        made.append(one.sample(text(), torch.tensor([16, 9]), seeds=torch.tensor([1, 2])).values)
+    assert torch.equal(made[0], made[1])
+    assert torch.equal(made[0], made[2])
+
+
+def test_remodiffuse_s_file_tells_its_frames():
+    content = {"state_dict": {"model.joint_embed.weight": torch.zeros(4, 263)}}
+    frames = interop.load("frames", content)
+    assert (frames.representation.width, frames.representation.variant) == (263, "published")
+
+
+def test_texts_of_another_width_than_the_model_s_have_no_published_form():
+    with pytest.raises(ValueError, match="retrieved texts of 6 numbers are projected to the model's width 12"):
+        remodiffuse.export(make_remodiffuse(retrieved_dim=None))
+
+
 def parameters(model: torch.nn.Module) -> int:
     return sum(p.numel() for p in model.parameters())
 
 
 def test_published_sizes():
-    """Compare with MDM §2 and MotionDiffuse: 17.88 M, KIT 17.87 M, 26.4 M with DistilBERT's tokens; 87.15 M."""
+    """Compare with MDM §2 and MotionDiffuse: 17.88 M, KIT 17.87 M, 26.4 M with DistilBERT's tokens; 87.15 M.
+
+    ReMoDiffuse has 46.97 M (§4).
+    """
     with torch.device("meta"):
         process = DDPM()
         sizes = [MDM(frame_dim=d, text_dim=512, process=process) for d in (263, 251)]
         words = MDM(frame_dim=263, token_dim=768, architecture="decoder", process=process)
         other = MotionDiffuse(frame_dim=263, token_dim=512, process=process)
+        retrieving = ReMoDiffuse(frame_dim=263, token_dim=512, process=DDPM(1000, "linear", "x0"))
         exported = mdm.export(sizes[0]), motiondiffuse.export(other)
-    assert [round(parameters(m) / 1e6, 2) for m in (*sizes, other)] == [17.88, 17.87, 87.15]
+    assert [round(parameters(m) / 1e6, 2) for m in (*sizes, other, retrieving)] == [17.88, 17.87, 87.15, 46.97]
     assert round(parameters(words) / 1e6, 1) == 26.4
     assert exported[0]["sequence_pos_encoder.pe"].shape == (5000, 1, 512)
     assert exported[1]["sequence_embedding"].shape == (196, 512)

@@ -50,7 +50,7 @@ def test_encoder(golden_file, mask_frames):
     outputs = [model.denoiser(x, time, *model.denoiser.read(t), real) for t in (text, without_text(text))]
     for ours, name in zip(outputs, ("cond", "uncond"), strict=True):
         close(ours, rows(golden[f"out.{name}{end}"]))
-    predict = model._predictor(text, real, FrameSampling(guidance=2.5))
+    predict = model._predictor(text, real, FrameSampling(guidance=2.5), torch.zeros(len(x), dtype=torch.long))
     close(predict(x, torch.cat((time, time))), rows(golden[f"out.cfg{end}"]), 7e-5)
 
 

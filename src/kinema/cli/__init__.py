@@ -12,7 +12,19 @@ from typing import Any
 from kinema import __version__
 
 TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq", "frames", "mld-vae")
-GENERATORS = ("mardm", "t2m-gpt", "attt2m", "mmm", "bad", "momask", "bamm", "mdm", "motiondiffuse", "mld")
+GENERATORS = (
+    "mardm",
+    "t2m-gpt",
+    "attt2m",
+    "mmm",
+    "bad",
+    "momask",
+    "bamm",
+    "mdm",
+    "motiondiffuse",
+    "remodiffuse",
+    "mld",
+)
 KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
 PARTS = ("upper", "lower")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
@@ -104,6 +116,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     read.add_argument("--tokenizer", metavar="RUN", help="run folder of the tokenizer; every generator needs it")
     read.add_argument("--residual", metavar="RUN", help="run folder of the residual transformer (momask, bamm)")
+    read.add_argument("--retrieval", metavar="RUN", help="run folder of a database to retrieve from (remodiffuse)")
     read.add_argument("--length", metavar="RUN", help="run folder of a length estimator (generators)")
     read.add_argument("--text", default="clip_b32", help="text encoder it was trained with (default clip_b32)")
     read.add_argument("--text-path", help="local folder of the text encoder")

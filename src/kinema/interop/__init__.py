@@ -35,7 +35,7 @@ class Kind:
     """Describe a kind: its importer's module, the wrappers of its files (`several`: each holds a part) and its place.
 
     `part` is what it is of a method. A generator's `tokenizer` and `residual` name the kinds that it was published
-    with.
+    with; `retrieval` says that it reads a database, which no published file is.
     """
 
     module: str
@@ -43,6 +43,7 @@ class Kind:
     part: str
     tokenizer: str | None = None
     residual: str | None = None
+    retrieval: bool = False
     several: bool = False
 
 
@@ -52,7 +53,7 @@ KINDS: dict[str, Kind] = {
     "attt2m-vq": Kind("kinema.interop.attt2m_vq", ("net",), TOKENIZER),
     "mmm-vq": Kind("kinema.interop.vq", ("net",), TOKENIZER),
     "momask-rvq": Kind("kinema.interop.rvq", ("vq_model", "net"), TOKENIZER),
-    "frames": Kind("kinema.interop.frames", ("model_avg", "model", "encoder"), TOKENIZER),
+    "frames": Kind("kinema.interop.frames", ("model_avg", "model", "encoder", "state_dict"), TOKENIZER),
     "mld-vae": Kind("kinema.interop.mld_vae", ("vae",), TOKENIZER),
     "mardm": Kind("kinema.interop.mardm", ("ema_mardm", "mardm"), GENERATOR, "mardm-ae"),
     "t2m-gpt": Kind("kinema.interop.gpt", ("trans",), GENERATOR, "t2m-gpt-vq"),
@@ -63,6 +64,7 @@ KINDS: dict[str, Kind] = {
     "bamm": Kind("kinema.interop.bamm", _BASE, GENERATOR, "momask-rvq", "momask-residual"),
     "mdm": Kind("kinema.interop.mdm", ("model_avg", "model"), GENERATOR, "frames"),
     "motiondiffuse": Kind("kinema.interop.motiondiffuse", ("encoder",), GENERATOR, "frames"),
+    "remodiffuse": Kind("kinema.interop.remodiffuse", ("state_dict",), GENERATOR, "frames", retrieval=True),
     "mld": Kind("kinema.interop.mld", ("denoiser",), GENERATOR, "mld-vae"),
     "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",), RESIDUAL, "momask-rvq"),
     "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",), LENGTH),

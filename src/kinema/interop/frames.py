@@ -16,6 +16,7 @@ VARIANTS = {"input_process.poseEmbedding.weight": "raw", "joint_embed.weight": "
 
 def load(state: Mapping[str, Tensor], *, statistics: Any = None, variant: str | None = None) -> nn.Module:
     """Make the tokenizer of the denoiser in a file: MDM's frames take raw statistics, MotionDiffuse's the /25 ones."""
+    state = {key.removeprefix("model."): value for key, value in state.items()}  # ReMoDiffuse's file has that prefix
     layer = next((name for name in VARIANTS if name in state), None)
     if layer is None:
         raise ValueError(f"this state dict is no denoiser of frames: it has none of {', '.join(VARIANTS)}")

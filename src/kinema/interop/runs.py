@@ -10,6 +10,8 @@ from torch import nn
 
 from kinema import interop
 from kinema.atomic import new_folder
+from kinema.generators import LatentModel
+from kinema.generators.remodiffuse.model import RETRIEVAL
 from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop import Kind, find_kind
 from kinema.pipeline.compatibility import check_pair
@@ -19,7 +21,7 @@ from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, link, load_part, wri
 from kinema.text.clip import WHOLE
 from kinema.text.encoders import ENCODERS
 
-LINKS = (TOKENIZER, RESIDUAL, LENGTH)
+LINKS = (TOKENIZER, RESIDUAL, RETRIEVAL, LENGTH)
 """What a run can be linked to."""
 
 READS_TEXT = (GENERATOR, RESIDUAL, LENGTH)
@@ -37,9 +39,9 @@ def import_run(
 ) -> nn.Module:
     """Turn a published checkpoint into the run folder `out`; nothing is written unless all parts fit together.
 
-    `links` names the run folders of its tokenizer, length estimator and residual transformer. A generator needs a
-    tokenizer. `text` is the encoder it was trained with, which no file names; `options` are the importer's. Raises
-    ValueError or FileNotFoundError.
+    `links` names the run folders of its tokenizer, length estimator, residual transformer and database to retrieve
+    from. A generator needs a tokenizer. `text` is the encoder it was trained with, which no file names; `options` are
+    the importer's. Raises ValueError or FileNotFoundError.
     """
     linked = {part: Path(run) for part, run in (links or {}).items()}
     known = find_kind(kind)
@@ -67,7 +69,7 @@ def check_parts(parts: Mapping[str, Any]) -> None:
     for name, part in parts.items():
         if generator is not None and name in generator.parts:
             generator.attach(name, part)
-        if tokenizer is not None and name != TOKENIZER:
+        if tokenizer is not None and isinstance(part, LatentModel):
             check_pair(tokenizer, part)
     widths = {name: part.spec["text_dim"] for name, part in parts.items() if "text_dim" in part.spec}
     if len(set(widths.values())) > 1:
@@ -76,7 +78,7 @@ def check_parts(parts: Mapping[str, Any]) -> None:
 
 
 def _check_links(kind: str, known: Kind, links: Mapping[str, Path]) -> None:
-    published = {TOKENIZER: known.tokenizer, RESIDUAL: known.residual}
+    published = {TOKENIZER: known.tokenizer, RESIDUAL: known.residual, RETRIEVAL: known.retrieval}
     allowed = [part for part, name in published.items() if name]
     if known.part == GENERATOR:
         allowed.append(LENGTH)

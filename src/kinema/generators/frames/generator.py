@@ -34,8 +34,10 @@ class SequenceDiffusion(Generator):
 
     `mask_frames` hides padding from the frames; without it a motion is the start of one of `space.most`, in training
     and in sampling. `average` makes the rows of the loss: `per_sequence` or `per_frame`. `condition_drop` is the share
-    of texts that training drops; 0 leaves no empty text to be guided from.
+    of texts that training drops; 0 leaves no empty text to be guided from. `draws_type` is what a step draws.
     """
+
+    draws_type: type[FrameDraws] = FrameDraws
 
     def __init__(
         self,
@@ -132,7 +134,7 @@ class SequenceDiffusion(Generator):
         kept = None if known is None else Kept.of(known, lengths, real, self.width)
         with inference(self):
             values = self.process.sample(
-                self._predictor(text.to(device), shown, sampling),
+                self._predictor(text.to(device), shown, sampling, seeds),
                 noise or sequence_noise(seeds, drawn, self.width, device),
                 solver=sampling.solver,
                 steps=sampling.solver_steps,
@@ -144,7 +146,13 @@ class SequenceDiffusion(Generator):
         counted = lengths if frames is None else frames.to(device)
         return Latents(lengths=lengths, frames=counted, values=values[:, :longest])
 
-    def _predictor(self, text: TextFeatures, shown: Bool[Tensor, "b n"] | None, sampling: DiffusionSampling) -> Predict:
+    def _predictor(
+        self,
+        text: TextFeatures,
+        shown: Bool[Tensor, "b n"] | None,
+        sampling: DiffusionSampling,
+        seeds: Int[Tensor, " b"],
+    ) -> Predict:
         """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
         condition, seen = self.denoiser.read(text)
         empty = None if sampling.guidance == 1 else self.denoiser.read(self.without_text(text))[0]
@@ -163,7 +171,7 @@ class SequenceDiffusion(Generator):
         batch, frames, features = x1.shape
         drop = self.condition_drop if self.training else 0.0
         return share_of(
-            lambda samples: FrameDraws.draw(
+            lambda samples: self.draws_type.draw(
                 (samples, self.space.most, features),
                 self.process,
                 condition_drop=drop,
