@@ -113,8 +113,8 @@ def _draw(figure: Figure, rows: Rows) -> None:
     for j, method in enumerate(methods):
         for axes, name in zip(panels[:, j], QUALITIES, strict=True):
             own = [row for row in rows if row["method"] == method]
-            for solver in dict.fromkeys(row["solver"] for row in own):
-                line = sorted((row for row in own if row["solver"] == solver), key=lambda row: row["rows"])
+            for solver in dict.fromkeys(_series(row) for row in own):
+                line = sorted((row for row in own if _series(row) == solver), key=lambda row: row["rows"])
                 x, y = [row["rows"] for row in line], [row[name] for row in line]
                 axes.errorbar(x, y, yerr=[row[f"{name} ±"] or 0 for row in line], marker=".", capsize=2, label=solver)
             for row in own:
@@ -130,3 +130,8 @@ def _draw(figure: Figure, rows: Rows) -> None:
         panels[-1, j].set_xlabel("network rows for a motion", fontsize=8)
     for axes, label in zip(panels[:, 0], QUALITIES.values(), strict=True):
         axes.set_ylabel(label)
+
+
+def _series(row: dict[str, Any]) -> str:
+    """Name the line of a point: its solver, those of leading timesteps apart."""
+    return f"{row['solver']} leading" if str(row["steps"]).startswith("leading") else row["solver"]
