@@ -9,6 +9,8 @@ from typing import Any
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.stages.generator import GeneratorStage
+from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.experiments.studies import errors, statistics
 from kinema.experiments.studies.sections import write_page
 from kinema.experiments.studies.subjects import finished, load, load_tokenizer, make, read_motions, want
@@ -32,10 +34,10 @@ def carry_out(
     store, split = PackedStore.open(open_corpus(cfg)), study["split"]
     require_captions(store, split)
     if not render_only:
-        make({"tokenizer": study["tokenizers"], "generator": study["generators"]}, overrides, jobs)
+        make({TokenizerStage.name: study["tokenizers"], GeneratorStage.name: study["generators"]}, overrides, jobs)
     real = read_motions(store, split, study["motions"])
-    generators = finished(want(study["generators"], "generator", overrides))
-    tokenizers = finished(want(study["tokenizers"], "tokenizer", overrides))
+    generators = finished(want(study["generators"], GeneratorStage.name, overrides))
+    tokenizers = finished(want(study["tokenizers"], TokenizerStage.name, overrides))
     subjects = [load(one, real, store, split) for one in generators]
     console.print(f"measure   {len(subjects)} generators, {len(tokenizers)} tokenizers, {len(real.lengths)} motions")
     sections = [statistics.distributions(study, store, subjects), statistics.deviations(store)]

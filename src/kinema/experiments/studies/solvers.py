@@ -46,7 +46,7 @@ def carry_out(
             console.print(f"[yellow]empty[/]     no complete results for {row.spec['label']}")
     found = [results(row) for row in rows if row.lines]
     for method in study["methods"]:
-        mark_fast([row for row in found if row["method"] == method["label"] and row["solver"] != DEFAULT])
+        mark_fast([row for row in found if row["method"] == method["label"]])
     shown = [{key: row.get(key) for key in SHOWN} for row in found]
     section = Section("solvers", found, shown, partial(_draw, rows=found), (4 * len(study["methods"]) + 1, 6.5))
     some = next(row.cfg for row in rows if row.cfg is not None)
@@ -88,7 +88,11 @@ def results(row: TableRow) -> dict[str, Any]:
 
 
 def mark_fast(rows: Rows) -> None:
-    """Mark the row of fewest network rows whose FID is within the interval of the best."""
+    """Mark the row of fewest network rows whose FID is within the interval of the best.
+
+    Results from before rows were counted have none, and can't be it.
+    """
+    rows = [row for row in rows if row["rows"] is not None]
     if not rows:
         return
     best = min(rows, key=lambda row: row["fid"])
@@ -99,7 +103,8 @@ def mark_fast(rows: Rows) -> None:
 def _draw(figure: Figure, rows: Rows) -> None:
     """Draw a column of panels for each method: FID above, R@3 below; a line for each solver."""
     real = next((row for row in rows if row["key"] == "real"), None)
-    methods = list(dict.fromkeys(row["method"] for row in rows if row is not real))
+    rows = [row for row in rows if row["rows"] is not None]
+    methods = list(dict.fromkeys(row["method"] for row in rows))
     if not methods:
         return
     panels = figure.subplots(len(QUALITIES), len(methods), squeeze=False, sharey="row", sharex="col")

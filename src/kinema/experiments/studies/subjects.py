@@ -20,6 +20,7 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.jobs import missing_runs, processes, run_jobs
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import get_stage
+from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.pipeline import TextToMotion
 from kinema.runs.build import build
 from kinema.runs.console import console
@@ -113,7 +114,7 @@ def load(one: Wanted, real: MotionBatch, store: PackedStore, split: str) -> Subj
 
 def load_tokenizer(one: Wanted) -> MotionTokenizer:
     """Load a tokenizer's run."""
-    return instantiate.read_model(one.run.path, "tokenizer").to(find_device(one.cfg.trainer.accelerator)).eval()
+    return instantiate.read_model(one.run.path, TokenizerStage.name).to(find_device(one.cfg.trainer.accelerator)).eval()
 
 
 def read_motions(store: PackedStore, split: str, count: int) -> MotionBatch:
