@@ -71,12 +71,16 @@ def check_kinema(words):
     if words[0] in ("train", "evaluate"):
         check_hydra(words[0], words[1:])
     elif words[0] == "reproduce":
-        assert (CONF / "table" / f"{words[1]}.yaml").exists()
+        assert reproducible(words[1])
         check_overrides([w for w in words[2:] if "=" in w], "evaluate")
     elif words[0] == "figures":
         assert importlib.util.find_spec(f"kinema.experiments.figures.{words[1]}")
     elif words != ["--version"]:
         cli._parser().parse_args(words)
+
+
+def reproducible(name):
+    return any((CONF / group / f"{name}.yaml").exists() for group in ("table", "study"))
 
 
 def check_make(words):
@@ -85,7 +89,7 @@ def check_make(words):
     variables = dict(w.split("=", 1) for w in words if "=" in w)
     own = re.findall(r"^(reproduce-[\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     for target in (w for w in words if w.startswith("reproduce-") and w not in own):
-        assert (CONF / "table" / f"{target.removeprefix('reproduce-')}.yaml").exists()
+        assert reproducible(target.removeprefix("reproduce-"))
         known = {k: v for k, v in variables.items() if k in ("DATA", "SCALE", "LAUNCHER")}
         assert set(variables) <= {*known, "ARGS"}
         check_overrides(

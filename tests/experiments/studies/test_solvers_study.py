@@ -72,16 +72,18 @@ def test_rows_of_mardm_are_latents_once_each_times_the_solver(process, solver, g
     assert found["denoiser_calls"] == released * evaluations(process, solver, 4)
 
 
-def test_the_fast_point_is_the_cheapest_within_the_interval_of_the_best():
-    rows = [
-        {"rows": 100, "fid": 1.0, "fid ±": 0.2},
-        {"rows": 40, "fid": 1.1, "fid ±": 0.0},
-        {"rows": 20, "fid": 1.19, "fid ±": 0.5},
-        {"rows": 10, "fid": 1.3, "fid ±": 0.5},
-        {"rows": None, "fid": 0.9, "fid ±": 0.0},
+def test_the_fast_point_is_the_cheapest_within_the_interval_of_the_best_of_whole_rows():
+    points = [
+        (100, 1.0, 0.2, 2),
+        (40, 1.1, 0.0, 2),
+        (20, 1.19, 0.5, 2),
+        (10, 1.3, 0.5, 2),
+        (None, 0.9, 0.0, 2),
+        (5, 0.8, None, 1),
     ]
+    rows = [{"rows": rows, "fid": fid, "fid ±": half, "n": n} for rows, fid, half, n in points]
     mark_fast(rows)
-    assert [row.get("fast") for row in rows] == [None, None, "fast", None, None]
+    assert [row.get("fast") for row in rows] == [None, None, "fast", None, None, None]
 
 
 def test_every_point_is_scored_on_val_by_the_methods_own_run(micro_tables):

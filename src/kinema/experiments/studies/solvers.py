@@ -90,9 +90,11 @@ def results(row: TableRow) -> dict[str, Any]:
 def mark_fast(rows: Rows) -> None:
     """Mark the row of fewest network rows whose FID is within the interval of the best.
 
-    Results from before rows were counted have none, and can't be it.
+    Points that lack a replication are no candidates: replications differ by more than solvers do. Nor are results from
+    before rows were counted.
     """
-    rows = [row for row in rows if row["rows"] is not None]
+    most = max((row["n"] for row in rows), default=0)
+    rows = [row for row in rows if row["n"] == most and row["rows"] is not None]
     if not rows:
         return
     best = min(rows, key=lambda row: row["fid"])
