@@ -139,7 +139,7 @@ def parameters(model: torch.nn.Module) -> int:
 def test_published_sizes():
     """Compare with MDM §2 and MotionDiffuse: 17.88 M, KIT 17.87 M, 26.4 M with DistilBERT's tokens; 87.15 M.
 
-    ReMoDiffuse has 46.97 M (§4).
+    ReMoDiffuse §4: 46.97 M.
     """
     with torch.device("meta"):
         process = DDPM()

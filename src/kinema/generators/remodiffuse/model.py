@@ -133,7 +133,7 @@ class ReMoDiffuse(FrameDiffusion):
         if not isinstance(module, RetrievalDatabase):
             raise ValueError(f"a {type(module).__name__} is no retrieval database; give the run of a retrieval stage")
         for what, own, theirs in (
-            ("frames", self.space.width, module.frame_dim),
+            ("frames", self.width, module.frame_dim),
             ("token features", self.retrieved_dim, module.token_dim),
         ):
             if own != theirs:
