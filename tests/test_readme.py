@@ -28,7 +28,19 @@ SHELL = ("export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard"
 """Commands that are not ours to check."""
 
 
-METHODS = ("mardm_sit", "momask", "bad_oaas", "bamm", "attt2m", "t2m_gpt", "mmm", "motiongpt")
+METHODS = (
+    "mardm_sit",
+    "momask",
+    "bad_oaas",
+    "bamm",
+    "attt2m",
+    "t2m_gpt",
+    "mmm",
+    "motiongpt",
+    "mdm",
+    "mld",
+    "remodiffuse",
+)
 GROUPS = "method|tokenizer|generator|residual|diffusion|evaluator|representation|text|data"
 GROUPS += "|scale|trainer|logger|launcher|debug"
 OVERRIDE = rf"\+?({GROUPS}|[a-z]+(\.\w+)+)=[\w.]+"
