@@ -103,9 +103,9 @@ def test_an_installed_kinema_composes_its_own_configurations(installed, empty):
 
 
 @pytest.mark.slow
-def test_an_installed_kinema_trains_scores_and_reports(installed, empty, micro):
+def test_an_installed_kinema_trains_scores_and_reports(installed, empty, micro, micro_tables):
     """Run the commands of the experiments far from any checkout."""
-    here = [o for o in micro if not o.startswith("paths.runs")]
+    here = [o for o in micro_tables if not o.startswith("paths.runs")]
     assert "done " in installed("train", "stage=tokenizer", *here).stdout
     assert len(list(empty.glob("runs/tokenizer/*/weights.safetensors"))) == 1
     assert "no complete results for: " in installed("reproduce", "table5", *here, "--render-only").stdout
