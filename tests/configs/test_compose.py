@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import CONF, compose, plain, validate
 from kinema.experiments.stages import get_stage, stages
+from kinema.experiments.stages.fitted import FittedStage
 from kinema.experiments.tables import load_table
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs.build import build
@@ -95,7 +96,8 @@ def test_every_part_builds_where_it_fits(group, option):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, corpus):
     cfg = composed(*OFFLINE, f"method={method}", f"scale={scale}", f"data={corpus}")
-    models = {name: stage_model(name, cfg=cfg) for name, stage in stages().items() if stage.present(cfg)}
+    fitted = [name for name, stage in stages().items() if isinstance(stage, FittedStage) and stage.present(cfg)]
+    models = {name: stage_model(name, cfg=cfg) for name in fitted}
     assert all(size(model) > 0 or get_stage(name).config(cfg).train is None for name, model in models.items())
     assert cfg.generator.get("predicts_length", False) == models["generator"].predicts_length
     for name in {"generator", "residual"} & models.keys():
@@ -132,11 +134,12 @@ SIZES = {
     "momask": (CONV, 12_048_768),
     "bamm": (CONV, 12_049_665 - 512),
     "motiongpt": (CONV, 247_577_856 + 2 * (32_615 - 32_128) * 768),
-    # MDM §2 and MotionDiffuse say 17.88 and 87.15 millions; frames have no tokenizer.
+    # MDM §2, MotionDiffuse and ReMoDiffuse §4 say 17.88, 87.15 and 46.97 millions; frames have no tokenizer.
     "mdm": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "mdm_epsilon": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
+    "remodiffuse": ({"humanml3d": 0, "kit_ml": 0}, 46_966_791),
     # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
     "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
 }
@@ -400,7 +403,23 @@ MLD = {
     **under("generator.sampling", guidance=7.5, solver="ddim", solver_steps="leading50"),
     "method.lengths": "real",
 }
+# ReMoDiffuse §4, §5
+REMODIFFUSE = {
+    "representation.kind": "redundant",
+    "representation.variant": "published",
+    "tokenizer.train": None,
+    **under("generator.model", width=512, feedforward=1024, layers=4, heads=8, dropout=0.0, neighbours=2, stride=4),
+    **under("generator.model", text_width=256, text_feedforward=2048, text_layers=2, text_heads=4, condition_drop=0.1),
+    **under("generator.model", retrieval_layers=2, retrieval_text_layers=2, length_weight=0.1),
+    **under("generator.model.process", steps=1000, schedule="linear", prediction="x0"),
+    **under("generator.train", batch_size=1024, epochs=(40 * 200, 20 * 100), lr=2e-4, decay="cosine"),
+    **under("generator.sampling", coarse=(6.5, 4.0), both=(0.52351, 0.78123), text=(-0.28419, 0.39284)),
+    **under("generator.sampling", retrieval=(2.39872, -0.12475), solver="ddim", solver_steps="15,15,8,6,6"),
+    "generator.reads_tokens": True,
+    "method.lengths": "real",
+}
 PAPERS = {
+    "remodiffuse": REMODIFFUSE,
     "mdm": MDM,
     "mld": MLD,
     "mdm_epsilon": MDM | {"generator.model.process.prediction": "epsilon"},

@@ -10,9 +10,9 @@ from kinema.experiments.tables import load_table, plan
 
 
 @pytest.mark.parametrize("name", sorted(file.stem for file in (CONF / "table").glob("*.yaml")))
-def test_every_row_has_its_job_and_every_run_is_made_once(name, micro, tmp_path):
+def test_every_row_has_its_job_and_every_run_is_made_once(name, micro_tables, tmp_path):
     table = load_table(name)
-    overrides = [*(o for o in micro if not o.startswith("generator.model")), f"paths.runs={tmp_path}"]
+    overrides = [*(o for o in micro_tables if not o.startswith("generator.model")), f"paths.runs={tmp_path}"]
     rows = plan(table, overrides)
     jobs = missing_jobs(rows, [*overrides, *table.get("overrides", [])])
     made = [job.makes for job in jobs]
@@ -27,8 +27,8 @@ def test_every_row_has_its_job_and_every_run_is_made_once(name, micro, tmp_path)
                                  for path in row.place.runs.values()}  # fmt: skip
 
 
-def test_what_most_wait_for_comes_first(micro, tmp_path):
-    jobs = missing_jobs(plan(load_table("table5"), [*micro, f"paths.runs={tmp_path}"]), micro)
+def test_what_most_wait_for_comes_first(micro_tables, tmp_path):
+    jobs = missing_jobs(plan(load_table("table5"), [*micro_tables, f"paths.runs={tmp_path}"]), micro_tables)
     position = {job.makes: i for i, job in enumerate(jobs)}
     assert all(position[path] < position[job.makes] for job in jobs for path in job.reads)
 

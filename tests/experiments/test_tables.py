@@ -179,6 +179,7 @@ def test_work_is_ordered_upstream_first(table, micro_tables, tmp_path):
         "train stage=decomposition,contrastive",
         "train stage=length",
         "train stage=residual",
+        "train stage=retrieval",
         "train stage=matching",
         "train stage=generator",
         "evaluate source=real,shuffled",
