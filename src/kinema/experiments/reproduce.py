@@ -50,10 +50,7 @@ def reproduce(
     shared = [o for o in overrides if not o.startswith("launcher=")]
     rows = plan(table, shared)
     if not render_only and any(row.cfg is not None and not row.complete for row in rows):
-        if set(overrides) - set(shared) <= {"launcher=none"}:
-            run_here(rows, [*shared, *table.get("overrides", [])], jobs)
-        else:
-            run_multiruns(rows, [*overrides, *table.get("overrides", [])])
+        run_missing(rows, overrides, table.get("overrides", []), jobs)
         rows = plan(table, shared)
     out = out or Path("reports") / name
     for path in render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared])):
@@ -62,6 +59,15 @@ def reproduce(
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
+
+
+def run_missing(rows: list[TableRow], overrides: list[str], own: list[str], jobs: int | None) -> None:
+    """Run what is missing under the caller's overrides and the table's own: here, or by the launcher they name."""
+    shared = [o for o in overrides if not o.startswith("launcher=")]
+    if set(overrides) - set(shared) <= {"launcher=none"}:
+        run_here(rows, [*shared, *own], jobs)
+    else:
+        run_multiruns(rows, [*overrides, *own])
 
 
 def run_here(rows: list[TableRow], overrides: list[str], count: int | None) -> None:

@@ -157,7 +157,10 @@ def _steps_note(row: TableRow) -> str:
         return ""
     trained = OmegaConf.select(row.cfg, "generator.model.process.steps")
     taken = OmegaConf.select(row.cfg, "generator.sampling.solver_steps")
-    return "" if trained is None or taken in (None, trained) else f"sampled in {taken} of its {trained} diffusion steps"
+    if trained is None or taken in (None, trained):
+        return ""
+    chosen = taken if isinstance(taken, int) else f"the steps {taken!r}"
+    return f"sampled in {chosen} of its {trained} diffusion steps"
 
 
 def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinema.experiments.reproduce import run_here, run_multiruns
+from kinema.experiments.reproduce import run_missing
 from kinema.experiments.studies.sections import Rows, Section, write_page
 from kinema.experiments.tables import TableRow, plan, provenance
 from kinema.report.cells import measure
@@ -36,10 +36,7 @@ def carry_out(
     table = {"rows": list(points(study)), "overrides": study["overrides"]}
     rows = plan(table, shared)
     if not render_only and not all(row.complete for row in rows):
-        if set(overrides) - set(shared) <= {"launcher=none"}:
-            run_here(rows, [*shared, *study["overrides"]], jobs)
-        else:
-            run_multiruns(rows, [*overrides, *study["overrides"]])
+        run_missing(rows, overrides, study["overrides"], jobs)
         rows = plan(table, shared)
     for row in rows:
         if not row.complete:
