@@ -62,6 +62,9 @@ def explain(error: Exception) -> str:
         if isinstance(error, InterpolationKeyError):
             reader = f"{key} reads it: " if key else ""
             hint = f" ({reader}parts of different methods? choose the method=... that these parts belong to)"
+        elif key == "generator.sampling.solver":  # sampling/fast.yaml leaves it to a file of the method
+            methods = ", ".join(sorted(path.stem for path in (CONF / "sampling/fast").glob("*.yaml")))
+            return f"sampling=fast has no sampler for this method, only for {methods}; leave it out"
         elif key:
             hint = f" (set {key})"
         return f"config: {str(error).splitlines()[0]}{hint}"
