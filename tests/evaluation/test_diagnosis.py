@@ -13,6 +13,7 @@ from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.evaluation.diagnosis import amplification
 from kinema.evaluation.diagnosis.deviations import own_deviations, phi
+from kinema.evaluation.diagnosis.directions import bands, noise_found, principal
 from kinema.evaluation.diagnosis.groups import by_group, shares
 from kinema.evaluation.diagnosis.marginals import marginals, wasserstein
 from kinema.evaluation.diagnosis.probes import probe
@@ -156,3 +157,21 @@ def test_what_does_not_diffuse_by_ddpm_is_refused():
     flow = MARDM(latent_dim=5, text_dim=8, process=Flow(), width=16, feedforward=16, heads=2, mlp_width=8, mlp_depth=1)
     with pytest.raises(ValueError, match="MARDM doesn't predict by DDPM; choose mdm, motiondiffuse or mardm_ddpm"):
         probe(flow, Latents(lengths, lengths, values=torch.ones(1, 1, 5)), text(1))
+
+
+def test_noise_is_found_by_direction():
+    draw = torch.Generator().manual_seed(0)
+    turn = torch.linalg.qr(torch.randn(6, 6, generator=draw, dtype=torch.float64))[0]
+    spread = torch.tensor([9.0, 5.0, 3.0, 1.0, 0.5, 0.1], dtype=torch.float64)
+    rows = torch.randn(20000, 6, generator=draw, dtype=torch.float64) * spread @ turn.T + 3
+    variances, directions = principal(rows)
+    torch.testing.assert_close(variances.sqrt(), spread, rtol=0.02, atol=0)
+    noise = torch.randn(rows.shape, generator=draw, dtype=torch.float64)
+    share = torch.tensor([0.0, 0.25, 0.5, 1.0, 1.0, 1.0], dtype=torch.float64)
+    predicted = noise @ directions * share @ directions.T + 0.3 * torch.randn(rows.shape, generator=draw).double()
+    torch.testing.assert_close(noise_found(noise, predicted - noise, directions), share, rtol=0, atol=0.02)
+
+
+def test_bands_double_and_cover_every_direction():
+    assert list(bands(263)) == ["1", "2", "3-4", "5-8", "9-16", "17-32", "33-64", "65-128", "129-256", "257-263"]
+    assert [i for part in bands(11).values() for i in range(11)[part]] == list(range(11))

@@ -11,7 +11,7 @@ from kinema.experiments.reproduce import reproduce
 from kinema.experiments.studies import load_study
 from kinema.experiments.studies.sections import csv_text, markdown, pivot
 
-PARTS = ("x_t", "phi", "amplification", "denoising", "samples", "jitter", "reconstruction")
+PARTS = ("x_t", "phi", "amplification", "denoising", "directions", "samples", "jitter", "reconstruction")
 SMALL = {"motions": 6, "frames": 400, "timesteps": 3}
 
 
@@ -34,7 +34,7 @@ def test_every_part_is_measured_of_every_run(small, micro_tables, tmp_path):
         assert (tmp_path / f"page/{name}.png").read_bytes().startswith(b"\x89PNG")
         assert f"## {small['sections'][name]['title']}" in page
     generators = {one["label"] for one in small["generators"]}
-    for name in ("amplification", "denoising"):
+    for name in ("amplification", "denoising", "directions"):
         assert {row["run"] for row in rows[name]} == generators
     assert {row["run"] for row in rows["jitter"]} == {*generators, "real"}
     assert {row["run"] for row in rows["samples"]} == {*generators, "real halves"}

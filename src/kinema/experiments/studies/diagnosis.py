@@ -46,6 +46,7 @@ def carry_out(
         sections += [
             errors.amplification(study, subjects),
             errors.denoising(study, subjects),
+            errors.directions(study, subjects),
             errors.samples(store, subjects, made),
             errors.jitter(store, subjects, made),
         ]

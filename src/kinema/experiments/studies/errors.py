@@ -14,6 +14,7 @@ from torch.nn import functional as F
 from kinema.data.store import PackedStore
 from kinema.evaluation.diagnosis import amplification as formulas
 from kinema.evaluation.diagnosis.deviations import own_deviations
+from kinema.evaluation.diagnosis.directions import bands, noise_found, principal
 from kinema.evaluation.diagnosis.groups import by_group, column_groups, shares
 from kinema.evaluation.diagnosis.marginals import wasserstein
 from kinema.evaluation.diagnosis.probes import Probe, probe
@@ -72,6 +73,35 @@ def denoising(study: dict[str, Any], subjects: list[Subject]) -> Section:
     shown = pivot(chosen, "group", "clean", ("run", "predicts", "timestep"))
     draw = partial(_panels, rows=rows, ys=("clean",))
     return Section("denoising", rows, shown, draw, (11, 3.6))
+
+
+def directions(study: dict[str, Any], subjects: list[Subject]) -> Section:
+    """Measure how much of the noise the networks find, by timestep and the principal directions of the clean rows."""
+    rows: Rows = []
+    for subject in subjects:
+        laid_open = _probe(subject)
+        process, noise = laid_open.process, next(_noise(laid_open.clean, 4))
+        clean = laid_open.columns(laid_open.clean)
+        variances, axes = principal(clean)
+        for at in timesteps(study, laid_open):
+            _, error = formulas.step_errors(process, laid_open.predict, laid_open.clean, at, noise)
+            implied = (
+                -error * process.signal[at] / process.noise[at]
+            )  # x is given: noise and clean motion imply each other
+            found = noise_found(laid_open.columns(noise), laid_open.columns(implied), axes)
+            for band, part in bands(len(axes)).items():
+                row = {"run": subject.label, "predicts": process.prediction, "timestep": at, "directions": band}
+                share = (variances[part].sum() / variances.sum()).item()
+                rows.append(row | {"of the motion": share, "noise found": found[part].mean().item()})
+    last = [row for row in rows if row["timestep"] == max(r["timestep"] for r in rows if r["run"] == row["run"])]
+    shown = pivot(last, "directions", "noise found", ("run", "predicts", "timestep"))
+    most = pivot(last, "directions", "of the motion", ("run",))
+    shown = [{"measure": "noise found"} | row for row in shown] + [{"measure": "of the motion"} | row for row in most]
+
+    def draw(figure: Figure) -> None:
+        bars(figure.subplots(), last, "directions", "noise found", "run", log=False)
+
+    return Section("directions", rows, shown, draw)
 
 
 def samples(store: PackedStore, subjects: list[Subject], made: list[MotionBatch]) -> Section:
