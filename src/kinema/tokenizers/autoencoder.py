@@ -26,8 +26,10 @@ class AutoEncoder(MotionTokenizer):
 
     `mask_padding` makes a clip's result independent of the padding of its batch: equal to the clip alone. False is
     what the published code does (padding past a clip's end leaks into its last frames). `error` is one of `ERRORS`:
-    "l1" with joint_weight=0 is the paper's loss (Eq. 8).
+    "l1" with joint_weight=0 is the paper's loss (Eq. 8). The encoder gives `outputs` numbers for each latent dim.
     """
+
+    outputs = 1
 
     def __init__(
         self,
@@ -48,7 +50,7 @@ class AutoEncoder(MotionTokenizer):
         self.error = get_error(error)
         net = {"width": width, "levels": down_levels, "depth": depth, "dilation_growth": dilation_growth}
         self.representation = representation
-        self.encoder = ConvEncoder(representation.width, latent_dim, **net, dropout=dropout)
+        self.encoder = ConvEncoder(representation.width, self.outputs * latent_dim, **net, dropout=dropout)
         self.decoder = ConvDecoder(latent_dim, representation.width, **net, dropout=dropout)
         unit = 2**down_levels
         self.space = LatentSpace("continuous", latent_dim, (representation.skeleton.max_frames - 1) // unit, unit)
@@ -66,9 +68,14 @@ class AutoEncoder(MotionTokenizer):
         4 of 67 dims, and an error of the yaw velocity adds up to drift. Means run over real frames.
         """
         target = self.representation.normalize(motion.features, motion.lengths)
-        counts = self.space.latents_of(motion.lengths)
-        output = self._decode(self._encode(target, motion.lengths), counts)
-        real = frame_mask(self.space.covered(motion.lengths), output.shape[1])
+        return self._losses(self._encode(target, motion.lengths), target, motion.lengths)
+
+    def _losses(
+        self, z: Float[Tensor, "b n c"], target: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]
+    ) -> dict[str, Tensor]:
+        """Decode latents and compare with the normalised features."""
+        output = self._decode(z, self.space.latents_of(lengths))
+        real = frame_mask(self.space.covered(lengths), output.shape[1])
         error = self.error(output, target[:, : output.shape[1]], reduction="none")
         reconstruction = mean_of_real(error, real)
         joints = mean_of_real(error[..., self.representation.groups["joints"]], real)
