@@ -22,7 +22,7 @@ def bars(axes: Axes, rows: Rows, x: str, y: str, series: str, *, log: bool = Tru
         axes.bar(at, [row[y] for row in chosen], width, label=name)
     axes.set_xticks(range(len(places)), places, fontsize=8)
     _finish(axes, y, log)
-    axes.legend(fontsize=7, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(names), frameon=False)  # bars fill the axes
+    axes.legend(fontsize=7, loc="lower left", bbox_to_anchor=(0, 1), ncols=len(names), frameon=False)  # no bar hidden
 
 
 def lines(axes: Axes, rows: Rows, x: str, ys: Sequence[str], *, log: bool = True) -> None:
