@@ -85,9 +85,7 @@ def directions(study: dict[str, Any], subjects: list[Subject]) -> Section:
         variances, axes = principal(clean)
         for at in timesteps(study, laid_open):
             _, error = formulas.step_errors(process, laid_open.predict, laid_open.clean, at, noise)
-            implied = (
-                -error * process.signal[at] / process.noise[at]
-            )  # x is given: noise and clean motion imply each other
+            implied = -error * process.signal[at] / process.noise[at]  # given x, clean motion implies the noise
             found = noise_found(laid_open.columns(noise), laid_open.columns(implied), axes)
             for band, part in bands(len(axes)).items():
                 row = {"run": subject.label, "predicts": process.prediction, "timestep": at, "directions": band}
