@@ -10,9 +10,11 @@ import sys
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from kinema.motion.skeleton import HUMANML3D
-from kinema.report.cells import grid, measure
+from kinema.report.cells import grid
+from kinema.report.intervals import FORMS, Value, measure
 from kinema.report.site import render
 from kinema.types import Motion
 
@@ -55,24 +57,53 @@ def texts(table: dict, folder, motions=None) -> dict[str, str]:
     return {path.name: path.read_text() for path in render(table, folder, motions)}
 
 
-def test_interval_is_the_published_formula():
+def test_interval_of_few_replications_is_students():
     values = [0.50, 0.52, 0.49, 0.55]
     value = measure(values)
     assert value.mean == pytest.approx(np.mean(values))
-    assert value.half == pytest.approx(1.96 * np.std(values) / math.sqrt(4))
+    low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
+    assert value.half == pytest.approx((high - low) / 2)
     assert measure([]) is None
     assert measure([0.5]).text(3) == "0.500"  # one replication: no interval, not an interval of zero
     assert measure([0.5, math.nan]).text(3) == "not finite"
 
 
+@pytest.mark.parametrize(("count", "form"), [(4, "published"), (20, "published"), (20, "student")])
+def test_interval_is_the_published_formula(count, form):
+    values = np.random.default_rng(0).normal(size=count).tolist()
+    assert measure(values, form).half == pytest.approx(1.96 * np.std(values) / math.sqrt(count))
+
+
+def test_few_replications_cover_the_mean_as_often_as_said():
+    draws = np.random.default_rng(1).normal(size=(4000, 5)).tolist()
+    covered = {form: np.mean([abs((v := measure(row, form)).mean) <= v.half for row in draws]) for form in FORMS}
+    assert covered["student"] == pytest.approx(0.95, abs=0.015)
+    assert covered["published"] < 0.86
+
+
+def test_interval_is_not_rounded_to_nothing():
+    assert Value(72.6, 0.001).text(1) == "72.6 ± 0.001"
+    assert Value(72.6, 0.0).text(1) == "72.6 ± 0.0"
+    assert Value(1.0, 3e-7).text(3) == "1.000 ± 3e-07"
+
+
+def test_table_says_how_its_intervals_are_computed(table, tmp_path):
+    assert "Student's t for n < 20" in texts(table, tmp_path)["table.md"]
+    table["intervals"] = "published"
+    assert "(1.96 std / √n; one" in texts(table, tmp_path)["index.html"]
+    table["intervals"] = "wide"
+    with pytest.raises(ValueError, match="intervals='wide'; allowed: student, published"):
+        texts(table, tmp_path)
+
+
 def test_all_formats_hold_ours_and_the_papers(table, tmp_path):
     files = texts(table, tmp_path)
     assert list(files) == ["table.md", "table.csv", "table.tex", "index.html"]
-    assert "| A | 2 | 0.510 ± 0.014 |" in files["table.md"]
+    assert "| A | 2 | 0.510 ± 0.127 |" in files["table.md"]
     assert "*0.500 ± 0.004* | *0.11*" in files["table.md"]
-    assert r"A & 2 & $0.510 \pm 0.014$" in files["table.tex"]
+    assert r"A & 2 & $0.510 \pm 0.127$" in files["table.tex"]
     assert r"B\_\%" in files["table.tex"]
-    assert "0.510<i> ± 0.014</i>" in files["index.html"]
+    assert "0.510<i> ± 0.127</i>" in files["index.html"]
     assert "Table &lt;5&gt;" in files["index.html"]
     lines = {line["key"]: line for line in csv.DictReader(files["table.csv"].splitlines())}
     assert float(lines["a"]["r1"]) == pytest.approx(0.51)

@@ -16,6 +16,7 @@ from pathlib import Path
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, missing_jobs, processes, run_jobs
 from kinema.experiments.studies import reproduce_study, studies
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
+from kinema.report.intervals import FORMS, Form
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
@@ -31,22 +32,33 @@ def main(arguments: list[str] | None = None) -> None:
         "--jobs", type=int, help="processes side by side on this machine (default: one a core of a CPU)"
     )
     parser.add_argument("--out", type=Path, help="folder of the report (default: reports/TABLE)")
-    options = parser.parse_intermixed_args(arguments)
+    parser.add_argument("--intervals", choices=FORMS, help="the 95 %% interval: Student's t, or 1.96 std / sqrt(n)")
+    options = vars(parser.parse_intermixed_args(arguments))
     try:
-        reproduce(options.table, options.overrides, render_only=options.render_only, jobs=options.jobs, out=options.out)
+        reproduce(options.pop("table"), options.pop("overrides"), **options)
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"error: {error}")
 
 
 def reproduce(
-    name: str, overrides: list[str], *, render_only: bool = False, jobs: int | None = None, out: Path | None = None
+    name: str,
+    overrides: list[str],
+    *,
+    render_only: bool = False,
+    jobs: int | None = None,
+    out: Path | None = None,
+    intervals: Form | None = None,
 ) -> None:
     """Run the missing stages and replications of a table (or what a study lacks) and render it."""
     if name in studies():
+        if intervals is not None:
+            raise ValueError(f"--intervals is an option of tables; the study {name} says how its own are computed")
         for path in reproduce_study(name, overrides, render_only=render_only, jobs=jobs, out=out):
             console.print(f"wrote     {path}")
         return
     table = load_table(name)
+    if intervals is not None:
+        table["intervals"] = intervals
     shared = [o for o in overrides if not o.startswith("launcher=")]
     rows = plan(table, shared)
     if not render_only and any(row.cfg is not None and not row.complete for row in rows):

@@ -2,28 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+from kinema.report.intervals import FORMS, Form, Value, measure
+
 KINDS = ("real", "control", "method")
 ARROWS = {"higher": "↑", "lower": "↓", "real": "→", "none": ""}
-
-
-@dataclass(frozen=True)
-class Value:
-    """Hold a mean, the half-width of its 95 % interval (None: unknown) and how many replications it rests on."""
-
-    mean: float
-    half: float | None
-    count: int | None = None
-
-    def text(self, digits: int) -> str:
-        """Write the value with its interval, e.g. `0.500 ± 0.004`."""
-        if not math.isfinite(self.mean):
-            return "not finite"
-        mean = f"{self.mean:.{digits}f}"
-        return mean if self.half is None else f"{mean} ± {self.half:.{digits}f}"
 
 
 @dataclass(frozen=True)
@@ -84,6 +69,7 @@ class Grid:
 
     columns: tuple[Column, ...]
     lines: tuple[Line, ...]
+    intervals: Form = "student"
 
 
 def grid(table: dict[str, Any], *, mark_best: bool = False) -> Grid:
@@ -91,20 +77,11 @@ def grid(table: dict[str, Any], *, mark_best: bool = False) -> Grid:
     columns = tuple(_column(c) for c in table["columns"])
     _refuse_twins([c.key for c in columns], "column")
     _refuse_twins([r["key"] for r in table["rows"]], "row")
-    lines = tuple(_line(row, columns) for row in table["rows"])
-    return Grid(columns, _with_best(columns, lines) if mark_best else lines)
-
-
-def measure(values: list[float]) -> Value | None:
-    """Return the mean and 1.96 std / sqrt(n) with the population std; one replication has no interval."""
-    if not values:
-        return None
-    count = len(values)
-    mean = math.fsum(values) / count
-    if count == 1 or not math.isfinite(mean):
-        return Value(mean, None, count)
-    std = math.sqrt(math.fsum((v - mean) ** 2 for v in values) / count)
-    return Value(mean, 1.96 * std / math.sqrt(count), count)
+    form = table.get("intervals", "student")
+    if form not in FORMS:
+        raise ValueError(f"intervals={form!r}; allowed: {', '.join(FORMS)}")
+    lines = tuple(_line(row, columns, form) for row in table["rows"])
+    return Grid(columns, _with_best(columns, lines) if mark_best else lines, form)
 
 
 def _column(spec: dict[str, Any]) -> Column:
@@ -114,7 +91,7 @@ def _column(spec: dict[str, Any]) -> Column:
     return Column(spec["key"], spec.get("label", spec["key"]), better, int(spec.get("digits", 3)))
 
 
-def _line(row: dict[str, Any], columns: tuple[Column, ...]) -> Line:
+def _line(row: dict[str, Any], columns: tuple[Column, ...], form: Form) -> Line:
     if row["kind"] not in KINDS:
         raise ValueError(f"row {row['key']!r}: kind is {row['kind']!r}, it should be one of {', '.join(KINDS)}")
     implemented = row.get("results") is not None
@@ -122,7 +99,7 @@ def _line(row: dict[str, Any], columns: tuple[Column, ...]) -> Line:
     cells = []
     for column in columns:
         found = [float(r[column.key]) for r in results if r.get(column.key) is not None]
-        cells.append(Cell(measure(found), _published(published.get(column.key))))
+        cells.append(Cell(measure(found, form), _published(published.get(column.key))))
     label = row.get("label", row["key"])
     why = row.get("cannot") or ""
     note = why or row.get("note") or ""

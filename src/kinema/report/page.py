@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from kinema.motion.view.html import page, viewer_fragment
 from kinema.report.cells import Cell, Column, Grid, Line
-from kinema.report.text import LEGEND, flatten, notice, unfinished
+from kinema.report.text import flatten, legend, notice, unfinished
 
 if TYPE_CHECKING:
     from kinema.types import Motion
@@ -25,7 +25,7 @@ def html_page(
         f"<header class='kinema-page-head'><h1>{escape(table['title'])}</h1></header>",
         f"<p class='notice {tone}'>{escape(notice(table))}</p>",
         _table(main),
-        f"<p class='small'>{escape(LEGEND)} Grey, marked: the paper's.</p>",
+        f"<p class='small'>{escape(legend(main))} Grey, marked: the paper's.</p>",
         _notes(table, main),
         _motions(main, motions),
         *(_breakdown(title, content) for title, content in breakdowns),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from kinema.atomic import write_text
 from kinema.report.cells import Cell, Grid, Line, grid
 from kinema.report.page import html_page
-from kinema.report.text import LEGEND, flatten, notes_by_text, notice, unfinished
+from kinema.report.text import flatten, legend, notes_by_text, notice, unfinished
 
 if TYPE_CHECKING:
     from kinema.types import Motion
@@ -20,11 +20,13 @@ def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[M
     """Write table.md, table.csv, table.tex and index.html into `out_dir` and give their paths.
 
     `table` has name, title, columns, rows and, if known, corpus, scale, panel (the corpus of the published numbers),
-    comparable (whether corpus and scale are the same), provenance, footnotes and breakdowns. `motions` are shown by row
+    comparable (whether corpus and scale are the same), intervals (student or published), provenance, footnotes and
+    breakdowns. `motions` are shown by row
     key.
     """
     main = grid(table, mark_best=table.get("mark_best", True))
-    breakdowns = [(b["title"], grid(b)) for b in table.get("breakdowns", ()) if b["rows"]]
+    parts = [b | {"intervals": main.intervals} for b in table.get("breakdowns", ()) if b["rows"]]
+    breakdowns = [(part["title"], grid(part)) for part in parts]
     known = [line.key for line in main.lines]
     stray = sorted(set(motions or {}) - set(known))
     if stray:
@@ -40,7 +42,7 @@ def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[M
 
 def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]]) -> str:
     """Write the whole report but the motions."""
-    parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), LEGEND]
+    parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), legend(main)]
     notes = [f"- {note}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))]
     if notes:
         parts += ["## Notes", "\n".join(notes)]

@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from kinema.report.cells import Grid
+from kinema.report.intervals import explain
 
-LEGEND = (
-    "Mean ± 95 % interval over n replications (1.96 std / √n; one replication has none). "
-    "Bold: the best method, if its interval overlaps no other method's."
-)
 PAPER_CORPORA = {"humanml3d": "HumanML3D", "kit_ml": "KIT-ML"}
 
 
@@ -29,6 +26,15 @@ def notice(table: dict[str, Any]) -> str:
     if corpus in PAPER_CORPORA:
         return f"{here}. The paper's numbers are {paper} results of full-size training and are not comparable."
     return f"{here}. The paper's numbers are {paper} results and are not comparable."
+
+
+def legend(main: Grid) -> str:
+    """Say what the numbers of a table are."""
+    how = explain(main.intervals, [line.replications for line in main.lines])
+    return (
+        f"Mean ± 95 % interval over n replications ({how}; one replication has none). "
+        "Bold: the best method, if its interval overlaps no other method's."
+    )
 
 
 def unfinished(main: Grid) -> list[str]:
