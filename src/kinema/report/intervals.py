@@ -31,8 +31,8 @@ class Value:
         if self.half is None:
             return mean
         half = f"{self.half:.{digits}f}"
-        if self.half > 0 and float(half) == 0:
-            half = f"{self.half:.1g}" if self.half >= 1e-4 else f"{self.half:.0e}"
+        if self.half > 1e-6 and float(half) == 0:  # below, it is what float32 leaves of zero
+            half = f"{self.half:.1g}"
         return f"{mean} ± {half}"
 
 
