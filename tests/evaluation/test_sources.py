@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.evaluation.perturbed import Perturbed
 from kinema.evaluation.sources import (
     Edited,
     Generated,
@@ -20,6 +21,8 @@ from kinema.evaluation.sources import (
 )
 from kinema.generators import Generator, LatentModel
 from kinema.motion.representation import Representation
+from kinema.motion.skeleton import HUMANML3D
+from kinema.motion.statistics import Statistics
 from kinema.pipeline import TextToMotion
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Latents, LatentSpace, MotionBatch, TextFeatures, frame_mask
@@ -267,3 +270,45 @@ def test_a_generated_source_counts_what_passes_through_the_networks(make):
         source(batch, seeds(size))
     assert source.measured() == {"denoiser_calls": 3, "denoiser_rows": 6}
     assert source.measured() == {"denoiser_calls": 0, "denoiser_rows": 0}
+
+
+def perturbed(batch, seeds, **options):
+    statistics = Statistics(np.linspace(-1, 1, 263), np.linspace(0.5, 2, 263))
+    return Perturbed(HUMANML3D, statistics, **options)(batch, seeds).features, statistics
+
+
+@pytest.mark.parametrize(("altered", "columns"), [("essential", slice(0, 67)), ("redundant", slice(67, 263))])
+@pytest.mark.parametrize("how", ["add", "replace"])
+def test_perturbed_motion_is_altered_in_the_named_dims_alone(altered, columns, how):
+    lengths, generator = torch.tensor([40, 196]), torch.Generator().manual_seed(0)
+    features = torch.randn(2, 196, 263, generator=generator) * frame_mask(lengths, 196)[..., None]
+    batch, seeds = MotionBatch(features, lengths), torch.tensor([3, 4])
+    found, statistics = perturbed(batch, seeds, altered=altered, how=how, level=0.5)
+    kept = torch.ones(263, dtype=torch.bool)
+    kept[columns] = False
+    assert torch.equal(found[..., kept], features[..., kept])
+    assert not found[0, 40:].any()  # padding stays zero
+    noise = found[1][:, columns] - (features[1][:, columns] if how == "add" else torch.tensor(statistics.mean[columns]))
+    z = noise / torch.tensor(statistics.std[columns])
+    assert z.std().item() == pytest.approx(0.5, rel=0.02)
+    assert z.mean().item() == pytest.approx(0, abs=0.02)
+
+
+def test_perturbed_motion_depends_on_its_own_seed_and_not_on_its_batch():
+    lengths = torch.tensor([40, 196])
+    batch = MotionBatch(torch.zeros(2, 196, 263), lengths)
+    both, _ = perturbed(batch, torch.tensor([3, 4]), altered="redundant", how="add", level=1.0)
+    alone, _ = perturbed(
+        MotionBatch(torch.zeros(1, 40, 263), lengths[:1]), torch.tensor([3]), altered="redundant", how="add", level=1.0
+    )
+    assert torch.equal(both[0, :40], alone[0])
+    other, _ = perturbed(batch, torch.tensor([5, 4]), altered="redundant", how="add", level=1.0)
+    assert not torch.equal(other[0], both[0])
+    assert torch.equal(other[1], both[1])
+
+
+@pytest.mark.parametrize("wrong", [{"altered": "all"}, {"how": "scale"}, {"level": -1.0}, {"level": float("nan")}])
+def test_perturbation_names_what_is_allowed(wrong):
+    options = {"altered": "essential", "how": "add", "level": 1.0} | wrong
+    with pytest.raises(ValueError, match="allowed: dims essential, redundant; how add, replace; level of at least 0"):
+        Perturbed(HUMANML3D, Statistics(np.zeros(263), np.ones(263)), **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ def find_conf(package: Path) -> Path:
 
 CONF = find_conf(Path(__file__).resolve().parents[1])
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
+DIMS, PERTURBATIONS = ("essential", "redundant"), ("add", "replace")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 TYPICAL = {
     "data": "custom",
@@ -28,7 +30,7 @@ TYPICAL = {
     "debug": "none",
 }
 """Groups that are no class's arguments, each with a file that has all options of the group."""
-SOURCES = ("real", "shuffled", "noise", "nearest", "reconstruction", "generation")
+SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "reconstruction", "generation")
 
 
 def register_resolvers() -> None:
@@ -96,11 +98,14 @@ def validate(cfg: DictConfig) -> None:
     if "source" in cfg:
         checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
         checks.append(("edit.task", cfg.edit.task, EDITS))
+        checks += [("perturb.dims", cfg.perturb.dims, DIMS), ("perturb.how", cfg.perturb.how, PERTURBATIONS)]
     for name, value, allowed in checks:
         if value not in allowed:
             raise ValueError(f"{name}={value!r} is unknown; allowed: {', '.join(allowed)}")
     if "source" in cfg and cfg.task == "editing" and cfg.source != "generation":
         raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
+    if "source" in cfg and not (isinstance(cfg.perturb.level, int | float) and 0 <= cfg.perturb.level < math.inf):
+        raise ValueError(f"perturb.level={cfg.perturb.level!r}; it must be a number of at least 0 (deviations)")
     if not isinstance(cfg.seed, int) or cfg.seed < 0:
         raise ValueError(f"seed={cfg.seed!r}; it must be an integer of at least 0")
 

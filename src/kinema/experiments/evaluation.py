@@ -66,6 +66,8 @@ def describe(cfg: DictConfig) -> Row:
     )
     identity = _identity(cfg, row, corpus)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
+    if "perturb" in identity:
+        what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
@@ -86,6 +88,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         identity["edit"] = plain(cfg.edit)
     elif cfg.source == "generation" and cfg.lengths != "real":
         identity["lengths"] = cfg.lengths
+    if cfg.source == "perturbed":
+        identity["perturb"] = plain(cfg.perturb)
     if any((cfg.get("evaluators") or {}).values()):
         # Imported judges have no fingerprint that would hold what they read captions with.
         identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}

@@ -18,6 +18,7 @@ from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.cache import motion_key
 from kinema.evaluation.metrics.fid import half_against_half
+from kinema.evaluation.perturbed import Perturbed
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
 from kinema.experiments.evaluation import Row
@@ -74,6 +75,7 @@ class Scorer:
             "text_encoder": self.source.text_encoder.identity if self.source.text_encoder else None,
             "sampling": sampling,
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
+            "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
             "protocol": plain(cfg.scale.protocol),
             "seed": cfg.seed,
@@ -135,6 +137,9 @@ class Scorer:
         name, cfg = self.cfg.source, self.cfg
         if name == "real":
             return sources.RealMotion()
+        if name == "perturbed":
+            altered, how, level = cfg.perturb.dims, cfg.perturb.how, cfg.perturb.level
+            return Perturbed(self.store.skeleton, self.store.statistics, altered=altered, how=how, level=level)
         if name == "shuffled":
             return sources.ShuffledCaptions()
         if name == "nearest":

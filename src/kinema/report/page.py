@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from kinema.motion.view.html import page, viewer_fragment
 from kinema.report.cells import Cell, Column, Grid, Line
-from kinema.report.text import flatten, legend, notice, unfinished
+from kinema.report.effects import HEADINGS, Effect
+from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notice, unfinished
 
 if TYPE_CHECKING:
     from kinema.types import Motion
@@ -17,7 +19,11 @@ _FOLD = 12  # a breakdown of more rows starts folded
 
 
 def html_page(
-    table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]], motions: dict[str, list[Motion]]
+    table: dict[str, Any],
+    main: Grid,
+    breakdowns: list[tuple[str, Grid]],
+    seen: Sequence[Effect],
+    motions: dict[str, list[Motion]],
 ) -> str:
     """Return the whole document."""
     tone = "good" if table.get("comparable") else "warn"
@@ -27,6 +33,7 @@ def html_page(
         _table(main),
         f"<p class='small'>{escape(legend(main))} Grey, marked: the paper's.</p>",
         _notes(table, main),
+        _effects(main, seen),
         _motions(main, motions),
         *(_breakdown(title, content) for title, content in breakdowns),
         _provenance(table),
@@ -73,6 +80,24 @@ def _notes(table: dict[str, Any], main: Grid) -> str:
     notes = [*table.get("footnotes", ()), *unfinished(main)]
     items = "".join(f"<li>{escape(str(note))}</li>" for note in notes)
     return f"<ul class='small'>{items}</ul>" if items else ""
+
+
+def _effects(main: Grid, seen: Sequence[Effect]) -> str:
+    if not seen:
+        return ""
+    heads = "".join(f"<th scope='col'>{escape(heading)}</th>" for heading in HEADINGS)
+    rows = []
+    for effect in seen:
+        what, metric, ours, paper, verdict = effect.cells
+        cells = (escape(metric), _value(ours), f"<span class='paper'>{escape(paper)}</span>", escape(verdict))
+        rows.append(
+            f"<tr><th scope='row'>{escape(what)}</th>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+        )
+    body = "\n".join(rows)
+    return (
+        f"<h2>{EFFECTS}</h2>\n<div class='scroll'><table>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{body}\n"
+        f"</tbody></table></div>\n<p class='small'>{escape(effects_legend(main))}</p>"
+    )
 
 
 def _breakdown(title: str, content: Grid) -> str:

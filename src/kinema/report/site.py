@@ -4,48 +4,56 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinema.atomic import write_text
 from kinema.report.cells import Cell, Grid, Line, grid
+from kinema.report.effects import HEADINGS, Effect, effects
+from kinema.report.effects import csv_text as effects_csv
 from kinema.report.page import html_page
-from kinema.report.text import flatten, legend, notes_by_text, notice, unfinished
+from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notes_by_text, notice, unfinished
 
 if TYPE_CHECKING:
     from kinema.types import Motion
 
 
 def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[Motion]] | None = None) -> list[Path]:
-    """Write table.md, table.csv, table.tex and index.html into `out_dir` and give their paths.
+    """Write table.md, table.csv, table.tex, index.html and, of its effects, effects.csv; gives their paths.
 
     `table` has name, title, columns, rows and, if known, corpus, scale, panel (the corpus of the published numbers),
-    comparable (whether corpus and scale are the same), intervals (student or published), provenance, footnotes and
-    breakdowns. `motions` are shown by row
+    comparable (whether corpus and scale are the same), intervals (student or published), provenance, footnotes, effects
+    and breakdowns. `motions` are shown by row
     key.
     """
     main = grid(table, mark_best=table.get("mark_best", True))
     parts = [b | {"intervals": main.intervals} for b in table.get("breakdowns", ()) if b["rows"]]
     breakdowns = [(part["title"], grid(part)) for part in parts]
+    seen = effects(table, main)
     known = [line.key for line in main.lines]
     stray = sorted(set(motions or {}) - set(known))
     if stray:
         raise ValueError(f"motions are given for {stray[0]!r}, which is no row of the table; rows: {', '.join(known)}")
     out = Path(out_dir)
     return [
-        write_text(out / "table.md", markdown(table, main, breakdowns)),
+        write_text(out / "table.md", markdown(table, main, breakdowns, seen)),
         write_text(out / "table.csv", csv_text(main)),
         write_text(out / "table.tex", latex(table, main)),
-        write_text(out / "index.html", html_page(table, main, breakdowns, motions or {})),
+        *([write_text(out / "effects.csv", effects_csv(seen))] if seen else []),
+        write_text(out / "index.html", html_page(table, main, breakdowns, seen, motions or {})),
     ]
 
 
-def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]]) -> str:
+def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]], seen: Sequence[Effect] = ()) -> str:
     """Write the whole report but the motions."""
     parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), legend(main)]
     notes = [f"- {note}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))]
     if notes:
         parts += ["## Notes", "\n".join(notes)]
+    if seen:
+        rows = [HEADINGS, ("---", "---", "--:", "--:", "---"), *(effect.cells for effect in seen)]
+        parts += [f"## {EFFECTS}", effects_legend(main), "\n".join(f"| {' | '.join(row)} |" for row in rows)]
     for title, content in breakdowns:
         parts += [f"## {title}", _markdown_grid(content)]
     facts = flatten(table.get("provenance", {}))

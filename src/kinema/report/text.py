@@ -7,6 +7,7 @@ from typing import Any
 from kinema.report.cells import Grid
 from kinema.report.intervals import explain
 
+EFFECTS = "Effects, here and in the paper"
 PAPER_CORPORA = {"humanml3d": "HumanML3D", "kit_ml": "KIT-ML"}
 
 
@@ -34,6 +35,15 @@ def legend(main: Grid) -> str:
     return (
         f"Mean ± 95 % interval over n replications ({how}; one replication has none). "
         "Bold: the best method, if its interval overlaps no other method's."
+    )
+
+
+def effects_legend(main: Grid) -> str:
+    """Say what the differences of a table are."""
+    how = explain(main.intervals, [line.replications for line in main.lines])
+    return (
+        f"First row minus second, replication by replication, and its 95 % interval ({how}): over the evaluation's own "
+        "draws, not over training seeds."
     )
 
 

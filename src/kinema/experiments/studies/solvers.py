@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinema.experiments.reproduce import run_missing
+from kinema.experiments.studies.points import folder, score
 from kinema.experiments.studies.sections import Rows, Section, write_page
-from kinema.experiments.tables import TableRow, plan, provenance
+from kinema.experiments.tables import TableRow
 from kinema.report.intervals import measure
-from kinema.runs.console import console
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,25 +30,14 @@ def carry_out(
     out: Path | None = None,
 ) -> list[Path]:
     """Score the points that are missing, and write the page; `render_only` writes what there is."""
-    shared = [o for o in overrides if not o.startswith("launcher=")]
-    table = {"rows": list(points(study)), "overrides": study["overrides"]}
-    rows = plan(table, shared)
-    if not render_only and not all(row.complete for row in rows):
-        run_missing(rows, overrides, study["overrides"], jobs)
-        rows = plan(table, shared)
-    for row in rows:
-        if not row.complete:
-            console.print(f"[yellow]empty[/]     no complete results for {row.spec['label']}")
+    rows, facts = score(study, list(points(study)), overrides, render_only=render_only, jobs=jobs)
     found = [results(row) for row in rows if row.lines]
     for method in study["methods"]:
         mark_fast([row for row in found if row["method"] == method["label"]])
     shown = [{key: row.get(key) for key in SHOWN} for row in found]
     section = Section("solvers", found, shown, partial(_draw, rows=found), (4 * len(study["methods"]) + 1, 6.5))
-    some = next(row.cfg for row in rows if row.cfg is not None)
-    facts = provenance(rows, shlex.join(["kinema", "reproduce", study["name"], *shared]))
     facts.pop("sampling", None)  # the points say it
-    out = out or Path("reports") / f"{study['name']}-{some.data.name}-{some.scale.name}"
-    return write_page(study, [section], facts, out)
+    return write_page(study, [section], facts, out or folder(study, rows))
 
 
 def points(study: dict[str, Any]) -> Iterator[dict[str, Any]]:

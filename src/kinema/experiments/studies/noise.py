@@ -1,0 +1,97 @@
+"""Score real motion altered by noise of growing level, in essential or redundant dims, under both evaluators."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from kinema.experiments.studies.points import folder, score
+from kinema.experiments.studies.sections import Rows, Section, write_page
+from kinema.experiments.tables import TableRow
+from kinema.report.intervals import measure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+METRICS = {"fid": "FID", "r3": "R@3"}
+
+
+def carry_out(
+    study: dict[str, Any],
+    overrides: list[str],
+    *,
+    render_only: bool = False,
+    jobs: int | None = None,
+    out: Path | None = None,
+) -> list[Path]:
+    """Score the levels that are missing, and write the page; `render_only` writes what there is."""
+    rows, facts = score(study, list(points(study)), overrides, render_only=render_only, jobs=jobs)
+    found = [results(row) for row in rows if row.lines]
+    inches = (4.5 * len(study["evaluators"]), 6.5)
+    section = Section("levels", found, found, partial(_draw, rows=found), inches)
+    return write_page(study, [section], facts, out or folder(study, rows))
+
+
+def points(study: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Return a row for every evaluator, kind of alteration and level; real motion is the level 0 of all."""
+    for evaluator in study["evaluators"]:
+        chosen = [f"evaluator={evaluator}"]
+        about = {"evaluator": evaluator}
+        yield {"key": f"{evaluator}-real", "label": f"real, {evaluator}", "source": "real", "overrides": chosen} | about
+        for how, levels in study["levels"].items():
+            for dims in study["dims"]:
+                for level in levels:
+                    spec = {"dims": dims, "how": how, "level": level}
+                    own = [f"perturb.{key}={value}" for key, value in spec.items()]
+                    label = f"{dims} {how} {level}, {evaluator}"
+                    row = {"key": label, "label": label, "source": "perturbed", "overrides": [*chosen, *own]}
+                    yield row | spec | about
+
+
+def results(row: TableRow) -> dict[str, Any]:
+    """Return one point."""
+    spec, lines = row.spec, [line["metrics"] for line in row.lines]
+    found = {key: spec.get(key) for key in ("evaluator", "dims", "how")} | {"level": spec.get("level", 0.0)}
+    for name in METRICS:
+        value = measure([metrics[name] for metrics in lines])
+        if value is not None:
+            found |= {name: value.mean, f"{name} ±": value.half}
+    return found | {"n": len(lines)}
+
+
+def _draw(figure: Figure, rows: Rows) -> None:
+    """Draw a column of panels for each evaluator: FID above, R@3 below; a line for each kind of alteration."""
+    evaluators = list(dict.fromkeys(row["evaluator"] for row in rows))
+    if not evaluators:
+        return
+    panels = figure.subplots(len(METRICS), len(evaluators), squeeze=False, sharey="row", sharex="col")
+    for j, evaluator in enumerate(evaluators):
+        own = [row for row in rows if row["evaluator"] == evaluator]
+        series = dict.fromkeys((row["dims"], row["how"]) for row in own if row["dims"])
+        for axes, name in zip(panels[:, j], METRICS, strict=True):
+            for dims, how in series:
+                line = sorted((r for r in own if (r["dims"], r["how"]) == (dims, how)), key=lambda row: row["level"])
+                axes.errorbar(
+                    [row["level"] for row in line],
+                    [row[name] for row in line],
+                    yerr=[row[f"{name} ±"] or 0 for row in line],
+                    color="tab:orange" if dims == "redundant" else "tab:blue",
+                    linestyle="-" if how == "add" else "--",
+                    marker=".",
+                    capsize=2,
+                    label=f"{dims}, {how}",
+                )
+            for row in own:
+                if row["dims"] is None and name != "fid":
+                    axes.axhline(row[name], color="grey", linewidth=0.8, linestyle=":", label="real")
+            axes.set_xscale("log")
+            # Linear below 0.01: an evaluator that doesn't read the dims has FID 0.
+            axes.set_yscale("symlog", linthresh=0.01) if name == "fid" else axes.set_yscale("linear")
+            axes.grid(linewidth=0.4)
+        panels[0, j].set_title(f"evaluator={evaluator}", fontsize=10)
+        panels[-1, j].set_xlabel("level of noise (standard deviations)", fontsize=8)
+    panels[-1, 0].legend(fontsize=7)
+    for axes, label in zip(panels[:, 0], METRICS.values(), strict=True):
+        axes.set_ylabel(label)
