@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.evaluation.lifted import Lifted
 from kinema.evaluation.perturbed import Perturbed
 from kinema.evaluation.sources import (
     Edited,
@@ -312,3 +313,15 @@ def test_perturbation_names_what_is_allowed(wrong):
     options = {"altered": "essential", "how": "add", "level": 1.0} | wrong
     with pytest.raises(ValueError, match="allowed: dims essential, redundant; how add, replace; level of at least 0"):
         Perturbed(HUMANML3D, Statistics(np.zeros(263), np.ones(263)), **options)
+
+
+def test_lifted_motion_keeps_its_essential_dims_and_its_padding():
+    lengths = torch.tensor([8, 12])
+    features = torch.randn(2, 12, 67, generator=torch.Generator().manual_seed(0)) * 0.1
+    batch = MotionBatch(features * frame_mask(lengths, 12)[..., None], lengths)
+    found = Lifted(RealMotion(), HUMANML3D)(batch, torch.tensor([0, 1]))
+    assert found.features.shape == (2, 12, 263)
+    assert torch.equal(found.features[..., :67], batch.features)
+    assert not found.features[0, 8:].any()
+    alone = Lifted(RealMotion(), HUMANML3D)(MotionBatch(batch.features[:1, :8], lengths[:1]), torch.tensor([0]))
+    assert torch.equal(found.features[0, :8], alone.features[0])

@@ -101,7 +101,7 @@ def test_what_does_not_fit_the_machine_or_the_corpus_is_named(refused):
 
 
 def test_wrong_evaluations_are_named(refused, tmp_path):
-    assert "source='gen' is unknown; allowed: real, shuffled" in refused("evaluate.py", "source=gen")
+    assert "source='gen' is unknown; allowed: real, perturbed" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
     assert "train it with `kinema train stage=contrastive data=synthetic" in message
@@ -112,7 +112,7 @@ def test_wrong_evaluations_are_named(refused, tmp_path):
 def test_a_judge_that_reads_more_than_a_method_makes_is_refused(refused, tmp_path, source):
     message = refused("evaluate.py", f"source={source}", "evaluator=redundant")
     assert "error: evaluator=redundant reads redundant dims, method=mardm_sit makes essential ones alone" in message
-    assert "choose representation=redundant, or evaluator=essential" in message
+    assert "choose representation=redundant or evaluator=essential, or lift=true" in message
     assert not (tmp_path / "runs").exists()
 
 

@@ -104,6 +104,8 @@ def validate(cfg: DictConfig) -> None:
             raise ValueError(f"{name}={value!r} is unknown; allowed: {', '.join(allowed)}")
     if "source" in cfg and cfg.task == "editing" and cfg.source != "generation":
         raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
+    if "source" in cfg and not isinstance(cfg.lift, bool):
+        raise ValueError(f"lift={cfg.lift!r}; it must be true or false")
     if "source" in cfg and not (isinstance(cfg.perturb.level, int | float) and 0 <= cfg.perturb.level < math.inf):
         raise ValueError(f"perturb.level={cfg.perturb.level!r}; it must be a number of at least 0 (deviations)")
     if not isinstance(cfg.seed, int) or cfg.seed < 0:

@@ -68,6 +68,7 @@ def describe(cfg: DictConfig) -> Row:
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     if "perturb" in identity:
         what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
+    what += "_lifted" if cfg.lift else ""
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
@@ -88,6 +89,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         identity["edit"] = plain(cfg.edit)
     elif cfg.source == "generation" and cfg.lengths != "real":
         identity["lengths"] = cfg.lengths
+    if cfg.lift:
+        identity["lift"] = True
     if cfg.source == "perturbed":
         identity["perturb"] = plain(cfg.perturb)
     if any((cfg.get("evaluators") or {}).values()):
@@ -131,11 +134,17 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
 
 def _check_judges(cfg: DictConfig, row: Row) -> None:
     """Check that the motion has the columns that the judges read."""
-    lacking = row.subject and cfg.representation.kind == "essential" and cfg.evaluator.representation != "essential"
+    lacking = (
+        row.subject
+        and not cfg.lift
+        and cfg.representation.kind == "essential"
+        and cfg.evaluator.representation != "essential"
+    )
     if lacking and any(stage.given(cfg) is None for stage in judges().values()):
         raise ValueError(
             f"evaluator={cfg.evaluator.name} reads {cfg.evaluator.representation} dims, method={cfg.method.name} makes "
-            "essential ones alone; choose representation=redundant, or evaluator=essential"
+            "essential ones alone; choose representation=redundant or evaluator=essential, or lift=true, which "
+            "recomputes the others from the joints"
         )
 
 

@@ -17,6 +17,7 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.cache import motion_key
+from kinema.evaluation.lifted import Lifted
 from kinema.evaluation.metrics.fid import half_against_half
 from kinema.evaluation.perturbed import Perturbed
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
@@ -56,7 +57,8 @@ class Scorer:
         }
         self.matching, self.contrastive = models["t2m"], models["clip"]
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
-        self.source = self._source(row)
+        source = self._source(row)
+        self.source = Lifted(source, self.store.skeleton) if cfg.lift else source
         judged = (model.representation.kind for model in models.values())
         self.data = self._clips(self.source.dims, *judged)
         self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
@@ -75,6 +77,7 @@ class Scorer:
             "text_encoder": self.source.text_encoder.identity if self.source.text_encoder else None,
             "sampling": sampling,
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
+            "lift": cfg.lift,
             "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
             "protocol": plain(cfg.scale.protocol),

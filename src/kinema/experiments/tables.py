@@ -100,22 +100,38 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
 
 
 def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
-    """Collect what the results of all rows say of themselves."""
-    lines = [line["provenance"] for row in rows if row.complete for line in row.lines]
+    """Collect what the results of all rows say of themselves; where rows differ, row by row."""
+    complete = [row for row in rows if row.complete]
+    lines = [line["provenance"] for row in complete for line in row.lines]
     if not lines:
         return {"command": command}
-    first = lines[0]
-    found = {k: first[k] for k in ("corpus", "statistics", "words", "tokens", "protocol", "device")}
-    found["evaluators"] = {k: f"{first['runs'][k]}, weights {v}" for k, v in first["evaluators"].items()}
-    found["text encoder"] = sorted({line["text_encoder"] for line in lines if line["text_encoder"]})
-    found["sampling"] = {
-        row.spec["label"]: row.lines[0]["provenance"]["sampling"]
-        for row in rows
-        if row.complete and row.lines[0]["provenance"]["sampling"]
+    said = {row.spec["label"]: row.lines[0]["provenance"] for row in complete}
+    found = {
+        key: _agreed({label: facts[key] for label, facts in said.items()})
+        for key in ("corpus", "statistics", "words", "tokens", "protocol", "device")
     }
+    found["evaluators"] = _agreed({label: _evaluators(facts) for label, facts in said.items()})
+    found["text encoder"] = sorted({line["text_encoder"] for line in lines if line["text_encoder"]})
+    found["sampling"] = {label: facts["sampling"] for label, facts in said.items() if facts["sampling"]}
     found["seeds"] = sorted({line["seed"] for line in lines})
     found["versions"] = sorted({", ".join(f"{k} {v}" for k, v in sorted(line["versions"].items())) for line in lines})
     return {**found, "command": command}
+
+
+def _evaluators(facts: dict[str, Any]) -> dict[str, str]:
+    return {name: f"{facts['runs'][name]}, weights {weights}" for name, weights in facts["evaluators"].items()}
+
+
+def _agreed(values: dict[str, Any]) -> Any:
+    """Return the value of all rows, or where they differ each value under the labels of its rows."""
+    groups: list[tuple[Any, list[str]]] = []
+    for label, value in values.items():
+        group = next((labels for other, labels in groups if other == value), None)
+        if group is None:
+            groups.append((value, [label]))
+        else:
+            group.append(label)
+    return groups[0][0] if len(groups) == 1 else {"; ".join(labels): value for value, labels in groups}
 
 
 def _results(row: TableRow) -> list[dict[str, Any]] | None:
@@ -135,11 +151,17 @@ def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, An
         "key": spec["key"],
         "label": spec["label"],
         "kind": spec["kind"],
-        "note": "; ".join(note for note in (spec.get("note", ""), _lengths_note(row), _steps_note(row)) if note),
+        "note": "; ".join(note for note in (spec.get("note", ""), *_notes(row)) if note),
         "cannot": spec.get("cannot"),
         "published": published.get(spec["key"]),
         "results": results,
     }
+
+
+def _notes(row: TableRow) -> tuple[str, ...]:
+    """Say what of the row's making a reader can't see in its label."""
+    lifted = row.cfg is not None and row.cfg.lift
+    return _lengths_note(row), _steps_note(row), "redundant dims recomputed from the joints" if lifted else ""
 
 
 def _lengths_note(row: TableRow) -> str:
