@@ -40,7 +40,7 @@ def measure(values: Sequence[float], form: Form = "student") -> Value | None:
     """Return the mean and its 95 % interval; one replication has none, no replication has no value.
 
     Of fewer than 20 values, Student's t with the sample's deviation: the published form is 1.6 times too narrow for 5.
-    Else, and always as `published`, 1.96 std / sqrt(n) with the population's deviation (METRICS, Aggregation).
+    Else, and always as `published`, 1.96 std / sqrt(n) with the population's deviation (METRICS, Definitions).
     """
     if not values:
         return None
