@@ -13,7 +13,7 @@ from kinema.experiments import evaluation, reproduce, tables
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.reproduce import missing_work
-from kinema.experiments.tables import load_table, plan, provenance, render_table
+from kinema.experiments.tables import TableRow, load_table, plan, provenance, render_table, with_borrowed
 
 FILES = ("table.md", "table.csv", "table.tex", "index.html")
 COMMAND = "make reproduce-table5"
@@ -186,6 +186,22 @@ def test_work_is_ordered_upstream_first(table, micro_tables, tmp_path):
         "evaluate source=noise,nearest,reconstruction",
         "evaluate source=generation",
     ]
+
+
+def test_a_row_borrows_metrics_replication_by_replication():
+    """MARDM Table 1 has reconstruction and generation in one row."""
+    borrow = {"row": "recon", "metrics": {"recon_fid": "fid", "dead": "dead_codes"}}
+    rows = [
+        TableRow({"key": "recon", "shown": False}, None, None),
+        TableRow({"key": "made", "borrow": borrow}, None, None),
+    ]
+    lent, own = [{"fid": 1.0}, {"fid": 2.0, "dead_codes": 3.0}], [{"fid": 5.0}, {"fid": 6.0}]
+    found = with_borrowed(rows, {"recon": lent, "made": own})
+    assert found["made"] == [{"fid": 5.0, "recon_fid": 1.0}, {"fid": 6.0, "recon_fid": 2.0, "dead": 3.0}]
+    assert with_borrowed(rows, {"recon": [], "made": own})["made"] == own  # its cells stay empty
+    assert with_borrowed(rows, {"recon": lent, "made": []})["made"] == []
+    with pytest.raises(ValueError, match="'made' borrows from 'recon', which is no row"):
+        with_borrowed(rows[1:], {"made": own})
 
 
 def test_one_method_under_two_judges(micro_tables, tmp_path):

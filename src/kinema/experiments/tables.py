@@ -18,6 +18,10 @@ PANELS = {"humanml3d": "humanml3d", "kit": "kit_ml"}
 """The panel of a paper's table that shows motion of a skeleton."""
 
 
+Results = dict[str, list[dict[str, Any]] | None]
+"""Of every row, the metrics by replication: none where they are not all there, None where it isn't in Kinema."""
+
+
 @dataclass(frozen=True)
 class TableRow:
     """Hold one row: its description, its configuration and where its results are (None: no such method yet)."""
@@ -81,7 +85,9 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     some = next(row.cfg for row in rows if row.cfg is not None)
     panel = PANELS[some.data.skeleton]
     published = table["paper"].get(panel, {})
-    results = {row.spec["key"]: _results(row) for row in rows}
+    results = with_borrowed(rows, {row.spec["key"]: _results(row) for row in rows})
+    lines = rows
+    rows = [row for row in rows if row.spec.get("shown", True)]
     filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
     filled.pop("paper")
     beside = filled.pop("beside", [])
@@ -89,7 +95,7 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
     filled["corpus"] = some.data.name
     filled["scale"] = some.scale.name
-    filled["provenance"] = provenance(rows, command)
+    filled["provenance"] = provenance(lines, command)
     filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]
     motions = {
         row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")
@@ -97,6 +103,25 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
         if row.place is not None and results[row.spec["key"]] and "metrics" not in row.spec
     }
     return render(filled, out, {k: v for k, v in motions.items() if v})
+
+
+def with_borrowed(rows: list[TableRow], results: Results) -> Results:
+    """Give rows the metrics that they borrow from another row, replication by replication.
+
+    `borrow: {row: KEY, metrics: {name here: name there}}`; a row with `shown: false` is there to be borrowed from.
+    """
+    found = dict(results)
+    for row in rows:
+        key, borrow = row.spec["key"], row.spec.get("borrow")
+        own = results[key]
+        if not borrow or not own:
+            continue
+        if borrow["row"] not in results:
+            raise ValueError(f"row {key!r} borrows from {borrow['row']!r}, which is no row; rows: {', '.join(results)}")
+        if lent := results[borrow["row"]]:
+            taken = [{here: line[there] for here, there in borrow["metrics"].items() if there in line} for line in lent]
+            found[key] = [{**line, **more} for line, more in zip(own, taken, strict=True)]
+    return found
 
 
 def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
@@ -198,7 +223,7 @@ BREAKDOWN_COLUMNS = [
 ]
 
 
-def _breakdowns(rows: list[TableRow], results: dict[str, list[dict[str, Any]] | None]) -> list[dict[str, Any]]:
+def _breakdowns(rows: list[TableRow], results: Results) -> list[dict[str, Any]]:
     """Return one table per manifest field: every row's metrics by the field's values."""
     fields: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
