@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from kinema.evaluation.lifted import Lifted
-from kinema.evaluation.perturbed import Perturbed
+from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.sources import (
     Edited,
     Generated,
@@ -306,6 +306,16 @@ def test_perturbed_motion_depends_on_its_own_seed_and_not_on_its_batch():
     other, _ = perturbed(batch, torch.tensor([5, 4]), altered="redundant", how="add", level=1.0)
     assert not torch.equal(other[0], both[0])
     assert torch.equal(other[1], both[1])
+
+
+def test_a_judges_deviations_are_those_it_normalises_by():
+    corpus = Statistics(np.linspace(-1, 1, 263), np.linspace(0.5, 2, 263))
+    for kind, variant in (("redundant", "published"), ("essential", "raw")):
+        representation = Representation(kind, "humanml3d", variant).fit(corpus)
+        found = judged(representation, corpus)
+        assert found.std[0] == pytest.approx(corpus.std[0] / (25 if variant == "published" else 1))
+        np.testing.assert_allclose(found.std[67:200], corpus.std[67:200], rtol=1e-6)
+        np.testing.assert_allclose(found.mean, corpus.mean, rtol=1e-6)
 
 
 @pytest.mark.parametrize("wrong", [{"altered": "all"}, {"how": "scale"}, {"level": -1.0}, {"level": float("nan")}])

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from kinema.evaluation.sources import Source, answer
+from kinema.motion.representation import Representation
 from kinema.motion.skeleton import DIMS, Skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import MotionBatch
@@ -17,9 +18,9 @@ HOW = ("add", "replace")
 class Perturbed(Source):
     """Answer with the captured motion, its essential or its redundant dims altered.
 
-    `how`: "add" adds noise of `level` standard deviations, "replace" puts the mean and such noise in the place of what
-    was there. Deviations are the corpus' own, grouped (`statistics`, all columns); the paper states no level. The same
-    seed draws the same noise whichever dims are altered, at whatever level.
+    `how`: "add" adds noise of `level` deviations, "replace" puts the mean and such noise in place of what was there.
+    `statistics` of all columns say what a deviation is: the judge's own or the corpus' (`judged` makes the former). The
+    same seed draws the same noise whichever dims are altered, at whatever level.
     """
 
     label, dims = "perturbed", "redundant"
@@ -48,3 +49,11 @@ class Perturbed(Source):
         drawn = torch.randn(len(values), width, generator=torch.Generator().manual_seed(seed))[:, self.columns]
         noise = (self.level * drawn * self.std).to(values)
         return noise + (values if self.how == "add" else self.mean.to(values))
+
+
+def judged(representation: Representation, corpus: Statistics) -> Statistics:
+    """Return the statistics that a judge normalises by, and the corpus' of columns that it doesn't read."""
+    width = representation.width
+    mean, std = corpus.mean.copy(), corpus.std.copy()
+    mean[:width], std[:width] = representation.mean.cpu().numpy(), representation.std.cpu().numpy()
+    return Statistics(mean, std)

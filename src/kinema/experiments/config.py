@@ -19,6 +19,7 @@ def find_conf(package: Path) -> Path:
 CONF = find_conf(Path(__file__).resolve().parents[1])
 TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 DIMS, PERTURBATIONS = ("essential", "redundant"), ("add", "replace")
+SPACES = ("evaluator", "corpus")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 TYPICAL = {
     "data": "custom",
@@ -99,6 +100,7 @@ def validate(cfg: DictConfig) -> None:
         checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
         checks.append(("edit.task", cfg.edit.task, EDITS))
         checks += [("perturb.dims", cfg.perturb.dims, DIMS), ("perturb.how", cfg.perturb.how, PERTURBATIONS)]
+        checks.append(("perturb.space", cfg.perturb.space, SPACES))
     for name, value, allowed in checks:
         if value not in allowed:
             raise ValueError(f"{name}={value!r} is unknown; allowed: {', '.join(allowed)}")

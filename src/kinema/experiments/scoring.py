@@ -19,7 +19,7 @@ from kinema.evaluation import sources
 from kinema.evaluation.cache import motion_key
 from kinema.evaluation.lifted import Lifted
 from kinema.evaluation.metrics.fid import half_against_half
-from kinema.evaluation.perturbed import Perturbed
+from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.experiments.config import plain
 from kinema.experiments.evaluation import Row
@@ -142,7 +142,10 @@ class Scorer:
             return sources.RealMotion()
         if name == "perturbed":
             altered, how, level = cfg.perturb.dims, cfg.perturb.how, cfg.perturb.level
-            return Perturbed(self.store.skeleton, self.store.statistics, altered=altered, how=how, level=level)
+            statistics = self.store.statistics
+            if cfg.perturb.space == "evaluator":
+                statistics = judged(self.matching.representation, statistics)
+            return Perturbed(self.store.skeleton, statistics, altered=altered, how=how, level=level)
         if name == "shuffled":
             return sources.ShuffledCaptions()
         if name == "nearest":

@@ -1,4 +1,4 @@
-"""Score real motion altered by noise of growing level, in essential or redundant dims, under both evaluators."""
+"""Score real motion altered by noise of growing level, in essential or redundant dims, under every judge."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ def carry_out(
     """Score the levels that are missing, and write the page; `render_only` writes what there is."""
     rows, facts = score(study, list(points(study)), overrides, render_only=render_only, jobs=jobs)
     found = [results(row) for row in rows if row.lines]
-    inches = (4.5 * len(study["evaluators"]), 6.5)
+    inches = (4.5 * len(study["judges"]), 6.5)
     section = Section("levels", found, found, partial(_draw, rows=found), inches)
     return write_page(study, [section], facts, out or folder(study, rows))
 
 
 def points(study: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Return a row for every evaluator, kind of alteration and level; real motion is the level 0 of all."""
-    for evaluator in study["evaluators"]:
-        chosen = [f"evaluator={evaluator}"]
-        about = {"evaluator": evaluator}
-        yield {"key": f"{evaluator}-real", "label": f"real, {evaluator}", "source": "real", "overrides": chosen} | about
+    """Return a row for every judge, kind of alteration and level; real motion is the level 0 of all."""
+    for judge in study["judges"]:
+        chosen, panel = [f"evaluator={judge['evaluator']}"], {"judge": judge["label"]}
+        key = judge["label"]
+        yield {"key": f"real, {key}", "label": f"real, {key}", "source": "real", "overrides": chosen} | panel
         for how, levels in study["levels"].items():
             for dims in study["dims"]:
                 for level in levels:
-                    spec = {"dims": dims, "how": how, "level": level}
-                    own = [f"perturb.{key}={value}" for key, value in spec.items()]
-                    label = f"{dims} {how} {level}, {evaluator}"
+                    spec = {"dims": dims, "how": how, "level": level, "space": judge["space"]}
+                    own = [f"perturb.{name}={value}" for name, value in spec.items()]
+                    label = f"{dims} {how} {level}, {key}"
                     row = {"key": label, "label": label, "source": "perturbed", "overrides": [*chosen, *own]}
-                    yield row | spec | about
+                    yield row | spec | panel
 
 
 def results(row: TableRow) -> dict[str, Any]:
     """Return one point."""
     spec, lines = row.spec, [line["metrics"] for line in row.lines]
-    found = {key: spec.get(key) for key in ("evaluator", "dims", "how")} | {"level": spec.get("level", 0.0)}
+    found = {key: spec.get(key) for key in ("judge", "dims", "how")} | {"level": spec.get("level", 0.0)}
     for name in METRICS:
         value = measure([metrics[name] for metrics in lines])
         if value is not None:
@@ -62,13 +62,13 @@ def results(row: TableRow) -> dict[str, Any]:
 
 
 def _draw(figure: Figure, rows: Rows) -> None:
-    """Draw a column of panels for each evaluator: FID above, R@3 below; a line for each kind of alteration."""
-    evaluators = list(dict.fromkeys(row["evaluator"] for row in rows))
-    if not evaluators:
+    """Draw a column of panels for each judge: FID above, R@3 below; a line for each kind of alteration."""
+    judges = list(dict.fromkeys(row["judge"] for row in rows))
+    if not judges:
         return
-    panels = figure.subplots(len(METRICS), len(evaluators), squeeze=False, sharey="row", sharex="col")
-    for j, evaluator in enumerate(evaluators):
-        own = [row for row in rows if row["evaluator"] == evaluator]
+    panels = figure.subplots(len(METRICS), len(judges), squeeze=False, sharey="row", sharex="col")
+    for j, judge in enumerate(judges):
+        own = [row for row in rows if row["judge"] == judge]
         series = dict.fromkeys((row["dims"], row["how"]) for row in own if row["dims"])
         for axes, name in zip(panels[:, j], METRICS, strict=True):
             for dims, how in series:
@@ -90,7 +90,7 @@ def _draw(figure: Figure, rows: Rows) -> None:
             # Linear below 0.01: an evaluator that doesn't read the dims has FID 0.
             axes.set_yscale("symlog", linthresh=0.01) if name == "fid" else axes.set_yscale("linear")
             axes.grid(linewidth=0.4)
-        panels[0, j].set_title(f"evaluator={evaluator}", fontsize=10)
+        panels[0, j].set_title(judge, fontsize=10)
         panels[-1, j].set_xlabel("level of noise (standard deviations)", fontsize=8)
     panels[-1, 0].legend(fontsize=7)
     for axes, label in zip(panels[:, 0], METRICS.values(), strict=True):
