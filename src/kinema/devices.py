@@ -32,6 +32,14 @@ def find_device(name: str | torch.device | None = None) -> torch.device:
     raise _unusable(name, "there is none")
 
 
+def synchronize(device: torch.device) -> None:
+    """Wait for what the device was asked to do: only then does a clock mean anything."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+    elif device.type == "mps":
+        torch.mps.synchronize()
+
+
 def global_rank() -> int:
     """Return this process' rank as torchrun, Slurm or Lightning's launcher set it; 0 where nothing did."""
     # SLURM_PROCID may be set (to 0) where Slurm does not start the ranks, as in an interactive shell.

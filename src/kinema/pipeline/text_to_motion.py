@@ -32,7 +32,7 @@ from kinema.runs.parts import LENGTH, TOKENIZER
 from kinema.seeds import request_seeds
 from kinema.text.frozen import FrozenTextEncoder, check_texts
 from kinema.tokenizers import MotionTokenizer
-from kinema.types import Known, Motion, MotionBatch, TextFeatures
+from kinema.types import Known, Latents, Motion, MotionBatch, TextFeatures
 
 
 class TextToMotion:
@@ -113,13 +113,23 @@ class TextToMotion:
         `frames` may be any number: the last latent is cut. None takes the lengths of `known`, or leaves them to the
         generator or the length estimator. `sampling` replaces the generator's own.
         """
+        return self.tokenizer.decode(self.sample_latents(text, frames, seeds=seeds, known=known, sampling=sampling))
+
+    def sample_latents(
+        self,
+        text: TextFeatures,
+        frames: Int[Tensor, " b"] | None = None,
+        *,
+        seeds: Int[Tensor, " b"],
+        known: Known | None = None,
+        sampling: Any | None = None,
+    ) -> Latents:
+        """Generate what `sample` decodes."""
         if frames is None and known is None and not self.generator.predicts_length:
             frames = self._estimated(text, seeds)
         asked = None if frames is None else self.generator.space.whole(frames).to(self.device)
         latents = self.generator.sample(text.to(self.device), asked, seeds=seeds, known=known, sampling=sampling)
-        if frames is not None:
-            latents = replace(latents, frames=frames.to(self.device))
-        return self.tokenizer.decode(latents)
+        return latents if frames is None else replace(latents, frames=frames.to(self.device))
 
     def generate(
         self,
