@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from kinema.experiments.config import CONF
-from kinema.experiments.jobs import EVALUATE, Job, missing_jobs, run_jobs
+from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.tables import load_table, plan
 
 
@@ -34,9 +34,20 @@ def test_what_most_wait_for_comes_first(micro_tables, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_job_waits_for_what_it_reads_and_a_failure_stops_what_follows(tmp_path, monkeypatch):
-    """Jobs that are refused at once: the first failure is told, and what reads its run never starts."""
+def test_a_failure_leaves_out_what_waits_for_it_and_nothing_else(tmp_path, monkeypatch):
+    """Jobs that are refused at once: each failure is told, and what reads its run never starts."""
     first = Job("train", ("stage=nothing",), tmp_path / "a")
     after = Job("train", ("stage=nothing",), tmp_path / "b", frozenset({tmp_path / "a"}))
-    with pytest.raises(OSError, match=r"`kinema train stage=nothing` failed: stage='nothing' is unknown; allowed: "):
-        run_jobs([after, first], 1)
+    last = Job("train", ("stage=nothing",), tmp_path / "c", frozenset({tmp_path / "b"}))
+    other = Job("train", ("stage=none",), tmp_path / "d")
+    with pytest.raises(
+        JobsFailedError, match=r"`kinema train stage=nothing` failed: stage='nothing' is unknown"
+    ) as caught:
+        run_jobs([last, after, first, other], 1)
+    assert set(caught.value.failed) == {first, other}
+    assert set(caught.value.left_out) == {after, last}
+    assert "2 more wait for what failed" in str(caught.value)
+    reasons = caught.value.reasons()
+    assert set(reasons) == {tmp_path / name for name in "abcd"}
+    assert reasons[tmp_path / "c"] == reasons[tmp_path / "b"] == reasons[tmp_path / "a"]
+    assert reasons[tmp_path / "d"].startswith("stage='none' is unknown")

@@ -159,13 +159,19 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro_tables, 
 
 
 @pytest.mark.slow
-def test_a_job_that_fails_is_named_and_nothing_is_rendered(table, micro_tables, tmp_path):
+def test_a_job_that_fails_is_named_and_its_rows_say_why(table, micro_tables, tmp_path):
     wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
+    small = {**table, "rows": [row for row in table["rows"] if row["key"] in ("real", "shuffled")]}
+    patch = pytest.MonkeyPatch()
+    patch.setattr(reproduce, "load_table", lambda name: dict(small))
     with pytest.raises(OSError, match=r"`kinema train stage=\w+ .*` failed: .*100000"):
         reproduce.reproduce("table5", wrong, jobs=1, out=tmp_path / "report")
+    patch.undo()
+    shown = (tmp_path / "report/table.md").read_text()
+    assert "Real motion with shuffled captions: failed: " in shown
+    assert "100000" in shown
     with pytest.raises(OSError, match=r"`kinema train -m .*` failed \(see above\)"):
         reproduce.run_multiruns(plan(table, wrong), wrong)
-    assert not (tmp_path / "report").exists()
 
 
 def test_nothing_is_left_to_run_when_all_is_there(complete, table, micro_tables):

@@ -6,11 +6,12 @@ import multiprocessing
 import os
 import shlex
 from collections.abc import Iterable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
+from rich.markup import escape
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose, refuse_processes
@@ -96,32 +97,72 @@ def processes(cfg: DictConfig) -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class JobsFailedError(OSError):
+    """Say which jobs failed, each with its error, and which were left out since they wait for one that did."""
+
+    def __init__(self, failed: dict[Job, BaseException], left_out: list[Job]) -> None:
+        self.failed, self.left_out = failed, left_out
+        (job, error), *others = failed.items()
+        more = "".join(f"\n`{job}` failed: {error}" for job, error in others)
+        waits = f"; {len(left_out)} more wait for what failed" if left_out else ""
+        super().__init__(
+            f"`{job}` failed: {error}{more}{waits}; what is finished is kept: run the same command again after mending "
+            "the cause"
+        )
+
+    def reasons(self) -> dict[Path, str]:
+        """Return why each folder wasn't finished."""
+        found = {job.makes: _first_line(error) for job, error in self.failed.items()}
+        for job in self.left_out:
+            reasons = sorted({found[path] for path in job.reads if path in found})
+            found[job.makes] = "; ".join(reasons) or "left out: the processes that make runs were stopped"
+        return found
+
+
 def run_jobs(jobs: list[Job], count: int) -> None:
     """Run jobs in `count` processes that stay for all of them, so that imports are paid once.
 
-    Raises OSError naming the first job that failed; what was running then is finished, and kept.
+    A job that fails leaves out those that wait for it, and no other. Raises JobsFailedError when all the rest is done.
     """
     waiting, unfinished = list(jobs), {job.makes for job in jobs}
     running: dict[Future[None], Job] = {}
-    failed: tuple[Job, BaseException] | None = None
+    failed: dict[Job, BaseException] = {}
+    left_out: list[Job] = []
     # Spawned, not forked: torch's threads would not survive a fork.
     with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-        while running or (waiting and failed is None):
-            ready = [job for job in waiting if not job.reads & unfinished] if failed is None else []
+        while running or waiting:
+            ready = [job for job in waiting if not job.reads & unfinished]
             for job in ready[: count - len(running)]:
                 waiting.remove(job)
                 console.print(f"[bold]run[/]       {job}")
                 running[pool.submit(work, job, quiet=count > 1)] = job
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 job = running.pop(future)
-                unfinished.discard(job.makes)
-                if (error := future.exception()) is not None:
-                    failed = failed or (job, error)
-    if failed is not None:
-        job, error = failed
-        raise OSError(
-            f"`{job}` failed: {error}; what is finished is kept: run the same command again after mending the cause"
-        ) from error
+                if (error := future.exception()) is None:
+                    unfinished.discard(job.makes)
+                    continue
+                console.print(f"[red]failed[/]    {job}: {escape(_first_line(error))}")
+                failed[job] = error
+                # A process that was killed (for its memory, say) takes the pool with it.
+                lost = waiting if isinstance(error, BrokenExecutor) else _waiting_for(job, waiting)
+                left_out += lost
+                waiting = [other for other in waiting if other not in lost]
+    if failed:
+        raise JobsFailedError(failed, left_out) from next(iter(failed.values()))
+
+
+def _waiting_for(job: Job, waiting: list[Job]) -> list[Job]:
+    """Return the jobs that read what a job makes, and those that read what they make."""
+    found: list[Job] = []
+    lost = {job.makes}
+    while more := [other for other in waiting if other not in found and other.reads & lost]:
+        found += more
+        lost |= {other.makes for other in more}
+    return found
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def work(job: Job, *, quiet: bool) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 
-from kinema.experiments.jobs import EVALUATE, TRAIN, Job, missing_jobs, processes, run_jobs
+from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.studies import reproduce_study, studies
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
 from kinema.report.intervals import FORMS, Form
@@ -49,7 +49,10 @@ def reproduce(
     out: Path | None = None,
     intervals: Form | None = None,
 ) -> None:
-    """Run the missing stages and replications of a table (or what a study lacks) and render it."""
+    """Run the missing stages and replications of a table (or what a study lacks) and render it.
+
+    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised.
+    """
     if name in studies():
         if intervals is not None:
             raise ValueError(f"--intervals is an option of tables; the study {name} says how its own are computed")
@@ -61,9 +64,14 @@ def reproduce(
         table["intervals"] = intervals
     shared = [o for o in overrides if not o.startswith("launcher=")]
     rows = plan(table, shared)
+    failure: JobsFailedError | None = None
     if not render_only and any(row.cfg is not None and not row.complete for row in rows):
-        run_missing(rows, overrides, table.get("overrides", []), jobs)
+        try:
+            run_missing(rows, overrides, table.get("overrides", []), jobs)
+        except JobsFailedError as error:
+            failure = error
         rows = plan(table, shared)
+        rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
     out = out or Path("reports") / name
     for path in render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared])):
         console.print(f"wrote     {path}")
@@ -71,6 +79,8 @@ def reproduce(
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
+    if failure is not None:
+        raise failure
 
 
 def run_missing(rows: list[TableRow], overrides: list[str], own: list[str], jobs: int | None) -> None:

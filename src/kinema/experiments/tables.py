@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,17 @@ class TableRow:
     def complete(self) -> bool:
         """Say whether every replication has its line."""
         return self.place is not None and len(self.lines) == self.place.replications
+
+    def explained(self, reasons: dict[Path, str]) -> TableRow:
+        """Return the row with what kept it from being complete in its note; `reasons` are by folder."""
+        if self.place is None or self.complete:
+            return self
+        paths = (self.place.folder.path, *self.place.runs.values())
+        why = next((reasons[path] for path in paths if path in reasons), None)
+        if why is None:
+            return self
+        notes = [note for note in (self.spec.get("note"), f"failed: {why}") if note]
+        return replace(self, spec={**self.spec, "note": "; ".join(notes)})
 
 
 def load_table(name: str) -> dict[str, Any]:
