@@ -119,6 +119,14 @@ def test_bold_only_where_intervals_are_apart(table):
     assert not any(c.best for line in grid(table, mark_best=True).lines for c in line.cells)
 
 
+def test_a_table_of_several_judges_marks_no_best_and_speaks_of_none(table, tmp_path):
+    assert "Bold: the best" in texts(table, tmp_path)["table.md"]
+    table["mark_best"] = False
+    files = texts(table, tmp_path)
+    assert "Bold" not in files["table.md"] + files["index.html"]
+    assert "**" not in files["table.md"]
+
+
 def test_missing_rows_say_so(table, tmp_path):
     files = texts(table, tmp_path)
     assert "| C | not yet run |  |  |" in files["table.md"]

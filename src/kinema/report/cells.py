@@ -65,11 +65,12 @@ class Line:
 
 @dataclass(frozen=True)
 class Grid:
-    """Hold a table ready to be written in any format."""
+    """Hold a table ready to be written in any format; `marked`: the best method of a column is."""
 
     columns: tuple[Column, ...]
     lines: tuple[Line, ...]
     intervals: Form = "student"
+    marked: bool = True
 
 
 def grid(table: dict[str, Any], *, mark_best: bool = False) -> Grid:
@@ -81,7 +82,7 @@ def grid(table: dict[str, Any], *, mark_best: bool = False) -> Grid:
     if form not in FORMS:
         raise ValueError(f"intervals={form!r}; allowed: {', '.join(FORMS)}")
     lines = tuple(_line(row, columns, form) for row in table["rows"])
-    return Grid(columns, _with_best(columns, lines) if mark_best else lines, form)
+    return Grid(columns, _with_best(columns, lines) if mark_best else lines, form, mark_best)
 
 
 def _column(spec: dict[str, Any]) -> Column:

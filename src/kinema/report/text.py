@@ -32,10 +32,8 @@ def notice(table: dict[str, Any]) -> str:
 def legend(main: Grid) -> str:
     """Say what the numbers of a table are."""
     how = explain(main.intervals, [line.replications for line in main.lines])
-    return (
-        f"Mean ± 95 % interval over n replications ({how}; one replication has none). "
-        "Bold: the best method, if its interval overlaps no other method's."
-    )
+    text = f"Mean ± 95 % interval over n replications ({how}; one replication has none)."
+    return f"{text} Bold: the best method, if its interval overlaps no other method's." if main.marked else text
 
 
 def effects_legend(main: Grid) -> str:
