@@ -22,6 +22,8 @@ from kinema.experiments.instantiate import read_model, text_encoder
 from kinema.experiments.run import run_stage
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.fitted import FittedStage
+from kinema.experiments.stages.generator import GeneratorStage
+from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.experiments.studies.sections import Rows, Section, write_page
 from kinema.experiments.studies.subjects import read_motions
 from kinema.experiments.training import initial_model
@@ -106,14 +108,11 @@ def untrained(cfg: DictConfig, store: PackedStore, motions: MotionBatch) -> Text
 
     What it keeps of its training latents (their range) it keeps of those of `motions`.
     """
-    device, made = find_device(cfg.trainer.accelerator), {}
-    for name in ("tokenizer", "generator"):
-        stage = get_stage(name)
-        assert isinstance(stage, FittedStage)
-        made[name], _ = initial_model(stage, cfg, store)
-    tokenizer, generator = made["tokenizer"].eval(), made["generator"]
+    tokenizer, generator = (_part(stage.name, cfg, store) for stage in (TokenizerStage, GeneratorStage))
+    tokenizer.eval()
     generator.prepare(tokenizer, EncodedMotions(tokenizer, motions))
     parts = {name: _part(name, cfg, store) for name in generator.parts if get_stage(name).present(cfg)}
+    device = find_device(cfg.trainer.accelerator)
     return TextToMotion(tokenizer, generator, text_encoder(cfg, device), parts).to(device)
 
 
