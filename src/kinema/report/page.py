@@ -89,7 +89,7 @@ def _effects(main: Grid, seen: Sequence[Effect]) -> str:
     rows = []
     for effect in seen:
         what, metric, ours, paper, verdict = effect.cells
-        cells = (escape(metric), _value(ours), f"<span class='paper'>{escape(paper)}</span>", escape(verdict))
+        cells = (escape(metric), _value(ours), escape(paper), escape(verdict))
         rows.append(
             f"<tr><th scope='row'>{escape(what)}</th>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
         )
