@@ -19,7 +19,7 @@ import pytest
 from kinema.motion.skeleton import HUMANML3D
 from kinema.types import Motion
 
-PATIENCE = 60
+PATIENCE = 30
 """Seconds after which a page is taken for dead: far beyond what a busy machine needs."""
 
 
@@ -34,9 +34,11 @@ class Browser:
             os.dup2(theirs_in, 3, inheritable=True)
             os.dup2(theirs_out, 4, inheritable=True)
 
+        options = ("headless=new", "no-sandbox", "disable-gpu", "no-first-run", "mute-audio", "window-size=1200,900")
+        options += ("disable-renderer-backgrounding", "disable-backgrounding-occluded-windows")
+        options += ("remote-debugging-pipe", f"user-data-dir={profile}")
         self.process = subprocess.Popen(
-            [binary, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--mute-audio"]
-            + [f"--user-data-dir={profile}", "--window-size=1200,900", "--no-first-run", "about:blank"],
+            [binary, *(f"--{option}" for option in options), "about:blank"],
             preexec_fn=wire,
             pass_fds=(3, 4),
             start_new_session=True,
@@ -57,9 +59,9 @@ class Browser:
         """Send one command and return its result."""
         self.number += 1
         message = {"id": self.number, "method": method, "params": params}
-        os.write(
-            self.write, json.dumps(message | ({"sessionId": self.session} if self.session else {})).encode() + b"\0"
-        )
+        if self.session:
+            message["sessionId"] = self.session
+        os.write(self.write, json.dumps(message).encode() + b"\0")
         while True:
             found = self.receive()
             if found.get("id") == self.number:
@@ -99,12 +101,12 @@ class Browser:
         assert "exceptionDetails" not in done, done["exceptionDetails"]
         return done["result"].get("value")
 
-    def until(self, expression: str) -> Any:
+    def until(self, expression: str) -> None:
         """Wait until an expression is true."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
-            if found := self.js(expression):
-                return found
+            if self.js(f"Boolean({expression})"):
+                return
             time.sleep(0.02)
         raise AssertionError(f"never true: {expression}; the page complained of {self.complaints}")
 

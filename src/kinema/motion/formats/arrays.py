@@ -19,7 +19,7 @@ def save_npy(motion: Motion, path: str | Path) -> Path:
 
 
 def save_npz(motion: Motion, path: str | Path) -> Path:
-    """Write all that a motion holds: joints, features, text, fps, skeleton and, if it has them, seed and kept frames."""
+    """Write all that a motion holds: joints, features, text, fps, skeleton; if it has them, seed and kept frames."""
     content: dict[str, Any] = {
         "joints": np.asarray(motion.joints, dtype=np.float32),
         "features": np.asarray(motion.features, dtype=np.float32),
