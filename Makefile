@@ -14,7 +14,7 @@ DOCS   := $(VENV)/.docs
 TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
 STUDIES := $(wildcard conf/study/*.yaml)
 
-.PHONY: help install test lint docs bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
+.PHONY: help install test lint docs bench demo doctor site reproduce-all reproduce-bad-figure2 clean-reports
 
 # `target: needs  ## what it does` is what is listed; tables and studies are listed by their titles.
 help:  ## list the targets
@@ -63,6 +63,9 @@ reproduce-bad-figure2: $(STAMP)  ## draw Figure 2 of the BAD paper from the mask
 	$(KINEMA) figures bad_masks --out reports/bad-figure2
 
 reproduce-all: $(TABLES:%=reproduce-%)  ## reproduce every table
+
+site: $(STAMP)  ## write reports/index.html, a site over all tables and studies that lie under reports/
+	$(KINEMA) site
 
 demo: reproduce-table5  ## generate a motion from a sentence, with the generator of table5's last row
 	$(KINEMA) generate "a person waves with the left hand" \

@@ -16,6 +16,7 @@ from pathlib import Path
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.studies import reproduce_study, studies
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
+from kinema.report.index import write_site
 from kinema.report.intervals import FORMS, Form
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -51,13 +52,16 @@ def reproduce(
 ) -> None:
     """Run the missing stages and replications of a table (or what a study lacks) and render it.
 
-    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised.
+    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised. Without `out` the
+    report goes to reports/, and the site over all that lies there is written anew.
     """
     if name in studies():
         if intervals is not None:
             raise ValueError(f"--intervals is an option of tables; the study {name} says how its own are computed")
         for path in reproduce_study(name, overrides, render_only=render_only, jobs=jobs, out=out):
             console.print(f"wrote     {path}")
+        if out is None:
+            write_site("reports")
         return
     table = load_table(name)
     if intervals is not None:
@@ -72,9 +76,11 @@ def reproduce(
             failure = error
         rows = plan(table, shared)
         rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
-    out = out or Path("reports") / name
-    for path in render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared])):
+    folder, command = out or Path("reports") / name, shlex.join(["kinema", "reproduce", name, *shared])
+    for path in render_table(table, rows, folder, command):
         console.print(f"wrote     {path}")
+    if out is None:
+        write_site("reports")
     lacking = [row.spec["label"] for row in rows if row.cfg is not None and not row.complete]
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")

@@ -89,7 +89,8 @@ def trained_by(row: TableRow) -> list[str]:
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
-    """Write table.md, table.csv, table.tex and index.html; an incomplete row's cells stay empty."""
+    """Write the report of a table (report/site.py); an incomplete row's cells stay empty."""
+    from kinema.experiments.cards import run_cards
     from kinema.report.motions import read_samples
     from kinema.report.site import render
 
@@ -107,6 +108,7 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     filled["corpus"] = some.data.name
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(lines, command)
+    filled["runs"] = run_cards(lines)
     filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]
     motions = {
         row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")

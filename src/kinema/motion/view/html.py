@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 from collections.abc import Sequence
 from html import escape
@@ -27,15 +29,27 @@ def save_html(motions: Sequence[Motion], path: str | Path, title: str = "Kinema 
     return write_text(path, page(title, f"<main class='kinema-page'>{heading}{viewer_fragment(motions)}</main>"))
 
 
-def page(title: str, body: str, style: str = "") -> str:
-    """Wrap a body into a complete HTML document that follows the reader's dark or light preference."""
+def page(title: str, body: str, style: str = "", script: str = "") -> str:
+    """Wrap a body into a complete HTML document that follows the reader's dark or light preference.
+
+    With a `script` the document runs this one, and scripts of files beside it, and nothing else.
+    """
     return (
         "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
-        "<meta name='color-scheme' content='light dark'>\n"
+        f"<meta name='color-scheme' content='light dark'>\n{_policy(script)}"
         f"<title>{escape(title)}</title>\n<style>\n{_asset('theme.css')}{_asset('page.css')}{style}</style>\n</head>\n"
-        f"<body>\n{body}\n</body>\n</html>\n"
+        f"<body>\n{body}\n{f'<script>{script}</script>' if script else ''}\n</body>\n</html>\n"
     )
+
+
+def _policy(script: str) -> str:
+    if not script:
+        return ""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    scripts = f"'sha256-{digest}' 'self' file:"
+    rules = f"default-src 'none'; img-src 'self' file:; style-src 'unsafe-inline'; script-src {scripts}"
+    return f'<meta http-equiv="Content-Security-Policy" content="{rules}">\n'
 
 
 def viewer_fragment(

@@ -1,0 +1,107 @@
+"""Write the site: a first page over all tables and studies of a folder, and one gallery of all their motions."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from kinema.atomic import write_text
+from kinema.report.content import Content, content_of
+from kinema.report.gallery import gallery, group_of
+from kinema.report.page import document, html_page
+from kinema.report.study import study_page
+from kinema.report.text import PAPER_CORPORA
+
+TITLE = "Kinema: results"
+_HOME = "../index.html"
+
+
+def write_site(reports: str | Path) -> list[Path]:
+    """Write index.html and gallery.html of a folder, and anew the pages of its tables and studies, with the way back.
+
+    Tables are folders with a table.json, studies with a study.json; of other folders with a report in Markdown the
+    files are listed. Nothing is computed but cells. Raises FileNotFoundError for a folder without any of these.
+    """
+    reports = Path(reports)
+    folders = sorted(path for path in reports.iterdir() if path.is_dir()) if reports.is_dir() else []
+    tables = {f.name: content_of(_read(f / "table.json")) for f in folders if (f / "table.json").exists()}
+    studies = {f.name: _read(f / "study.json") for f in folders if (f / "study.json").exists()}
+    others = [f for f in folders if f.name not in {*tables, *studies} and any(f.glob("*.md"))]
+    if not (tables or studies or others):
+        raise FileNotFoundError(f"{reports} holds no report of a table or study; make one: `kinema reproduce table5`")
+    groups = [g for name, content in tables.items() if (g := group_of(content.table, f"{name}/"))]
+    parts = [
+        f"<header class='kinema-page-head'><h1>{TITLE}</h1></header>",
+        _tables(tables),
+        "<p><a href='gallery.html'>All motions, prompt by prompt, methods beside or over each other</a></p>"
+        if groups
+        else "",
+        _studies({name: study["title"] for name, study in studies.items()}),
+        _others(others),
+    ]
+    written = [write_text(reports / "index.html", document(TITLE, parts))]
+    if groups:
+        heading = "<header class='kinema-page-head'><h1>Gallery</h1></header>"
+        groups.sort(key=lambda group: -len(group["sources"]))
+        text = document("Gallery", [heading, gallery(groups)], "index.html")
+        written.append(write_text(reports / "gallery.html", text))
+    pages = {name: html_page(content, _HOME) for name, content in tables.items()}
+    pages |= {name: study_page(study, _HOME) for name, study in studies.items()}
+    return [*written, *(write_text(reports / name / "index.html", text) for name, text in pages.items())]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged ({error}); render its report again with `kinema reproduce`") from None
+
+
+def _tables(tables: dict[str, Content]) -> str:
+    if not tables:
+        return ""
+    heads = ("table", "corpus", "scale", "rows", "without results", "as in the paper", "opposite", "files")
+    head = "".join(f"<th scope='col'>{text}</th>" for text in heads)
+    rows = "\n".join(_table(name, content) for name, content in tables.items())
+    return (
+        "<h2>Tables</h2>\n<div class='scroll' tabindex='0'><table class='sortable'>\n"
+        f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>\n"
+        "<p class='small'>As in the paper, opposite: effects of a table (differences between two of its rows) by their "
+        "sign. Levels are compared on each table's page.</p>"
+    )
+
+
+def _table(name: str, content: Content) -> str:
+    table, lines = content.table, content.main.lines
+    verdicts = [effect.verdict for effect in content.seen]
+    idle = sum(not line.replications for line in lines)
+    corpus = str(table.get("corpus") or "")
+    cells = [PAPER_CORPORA.get(corpus, corpus), str(table.get("scale") or "")]
+    counts = [len(lines), idle, verdicts.count("as in the paper"), verdicts.count("opposite to the paper")]
+    files = ["table.md", "table.csv", "table.tex", "table.json"]
+    link = f"<a href='{escape(name)}/index.html'>{escape(table['title'])}</a>"
+    return (
+        f"<tr><th scope='row'>{link}</th>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        + "".join(f"<td data-ours='{n}'>{n}</td>" for n in counts)
+        + f"<td>{' '.join(_file(name, file) for file in files)}</td></tr>"
+    )
+
+
+def _studies(titles: dict[str, str]) -> str:
+    items = "".join(f"<li><a href='{escape(n)}/index.html'>{escape(t)}</a></li>" for n, t in titles.items())
+    return f"<h2>Studies</h2>\n<ul>{items}</ul>" if items else ""
+
+
+def _others(folders: list[Path]) -> str:
+    items = []
+    for folder in folders:
+        files = " ".join(_file(folder.name, path.name) for path in sorted(folder.iterdir()) if path.is_file())
+        items.append(f"<li>{escape(folder.name)}: {files}</li>")
+    return f"<h2>Other reports</h2>\n<ul>{''.join(items)}</ul>" if items else ""
+
+
+def _file(folder: str, name: str) -> str:
+    return f"<a href='{escape(folder)}/{escape(name)}'>{escape(name.removeprefix('table.'))}</a>"
