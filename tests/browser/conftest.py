@@ -139,7 +139,8 @@ def chromium(tmp_path_factory) -> Iterator[Browser]:
 def browser(chromium) -> Iterator[Browser]:
     """Return the browser; a page may complain of nothing and ask no server for anything."""
     yield chromium
-    assert chromium.complaints == []
+    tests = "Multiple readback operations"  # that is a test's own looking at pixels
+    assert [text for text in chromium.complaints if tests not in text] == []
     assert all(url.startswith(("file:", "data:", "blob:")) for url in chromium.asked), chromium.asked
 
 

@@ -10,7 +10,7 @@ from kinema.report.plots import curves
 from kinema.report.text import PAPER_CORPORA
 
 Run = dict[str, Any]
-"""A run: name, stage, rows, facts, config, curves (name: [(step, value), ...])."""
+"""A run: name, stage, rows, facts, config, curves (name: [[step, value], ...])."""
 
 
 def limits(table: dict[str, Any]) -> list[str]:

@@ -15,6 +15,7 @@ from kinema.report.gallery import gallery, gallery_script, group_of
 from kinema.report.plots import metric_plots
 from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notice, unfinished
 
+_MARKS = ("Limits", "Plots", "Motions", "Runs", "Provenance")  # parts that the navigation leads to
 _FOLD = 12  # a breakdown of more rows starts folded
 
 
@@ -43,8 +44,11 @@ def html_page(content: Content, home: str | None = None) -> str:
 def document(title: str, parts: list[str], home: str | None = None) -> str:
     """Put the parts of a page together: navigation, styles, and the scripts that sort and play."""
     shown = list(filter(None, parts))
-    if home is not None:
-        shown.insert(0, f"<nav><a href='{escape(home)}'>All results</a></nav>")
+    marks = [(word, f"#{word.lower()}") for word in _MARKS if any(f"id='{word.lower()}'" in part for part in shown)]
+    links = [*([("All results", home)] if home is not None else []), *marks]
+    if links:
+        items = " ".join(f"<a href='{escape(target)}'>{escape(word)}</a>" for word, target in links)
+        shown.insert(0, f"<nav>{items}</nav>")
     style = asset("report.css") + viewer_style() + asset("gallery.css")
     script = asset("sort.js")
     if any("kinema-gallery" in part for part in shown):

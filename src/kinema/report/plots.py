@@ -11,13 +11,13 @@ from kinema.report.cells import Column, Grid, Line
 from kinema.report.intervals import Value
 
 _WIDE, _LEFT, _RIGHT, _ROW = 480, 168, 14, 21
-_FAR = 30
-"""From this ratio of the largest to the smallest value on, an axis is logarithmic."""
+_FAR, _NOTHING = 30, 1e-5
+"""The ratio of the largest to the smallest value from which an axis is logarithmic; that which counts as zero."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Map numbers to pixels between `start` and `end`; logarithmic where positive numbers lie far apart."""
+    """Map numbers to pixels between `start` and `end`; on a logarithmic axis zero lies at its start."""
 
     low: float
     high: float
@@ -26,11 +26,12 @@ class Axis:
     log: bool = False
 
     @classmethod
-    def over(cls, values: Sequence[float], start: float, end: float) -> Axis:
-        """Span some numbers with a margin."""
+    def over(cls, values: Sequence[float], start: float, end: float, *, log: bool = False) -> Axis:
+        """Span some numbers with a margin; `log`: logarithmically if they are far apart and none is negative."""
         low, high = min(values), max(values)
-        if low > 0 and high / low > _FAR:
-            return cls(math.log10(low) - 0.08, math.log10(high) + 0.08, start, end, log=True)
+        least = min((v for v in values if v > _NOTHING * high), default=high)
+        if log and low >= 0 and high > _FAR * least:
+            return cls(math.log10(least) - 0.08, math.log10(high) + 0.08, start, end, log=True)
         margin = 0.06 * (high - low) or 0.1 * abs(high) or 1.0
         return cls(low - margin, high + margin, start, end)
 
@@ -65,7 +66,7 @@ def _metric(content: Grid, index: int, column: Column) -> str:
     if len(rows) < 2:
         return ""
     values = [value.mean for _, *pair in rows for value in pair if value]
-    axis = Axis.over(values, _LEFT, _WIDE - _RIGHT)
+    axis = Axis.over(values, _LEFT, _WIDE - _RIGHT, log=column.better != "higher")  # those are shares and scores
     height = len(rows) * _ROW + 8
     parts = [*_vertical(axis, 4, height), *(_row(axis, 4 + (n + 0.5) * _ROW, *row) for n, row in enumerate(rows))]
     title = f"{column.heading}{', logarithmic' if axis.log else ''}"
@@ -94,14 +95,14 @@ def _whisker(axis: Axis, value: Value, y: float) -> str:
     return f"<path class='whisker' d='M{low} {y - 3:g}v6M{low} {y:g}H{high}M{high} {y - 3:g}v6'/>"
 
 
-def curves(lines: dict[str, Sequence[tuple[float, float]]]) -> str:
+def curves(lines: dict[str, Sequence[Sequence[float]]]) -> str:
     """Draw (step, value) points of a run's losses: one line each, on one axis."""
     found = {name: [(x, y) for x, y in points if math.isfinite(y)] for name, points in lines.items()}
     found = {name: points for name, points in found.items() if points}
     if not found:
         return ""
     across = Axis(0, max(x for points in found.values() for x, _ in points) or 1, 46, 306)
-    up = Axis.over([y for points in found.values() for _, y in points], 118, 8)
+    up = Axis.over([y for points in found.values() for _, y in points], 118, 8, log=True)
     parts = [*_horizontal(up, 46, 306)]
     for tick in (0.0, across.high):
         parts.append(f"<text class='tick' x='{across(tick)}' y='134'>{_number(tick)}</text>")
