@@ -15,7 +15,7 @@ from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.reproduce import missing_work
 from kinema.experiments.tables import TableRow, load_table, plan, provenance, render_table, with_borrowed
 
-FILES = ("table.md", "table.csv", "table.tex", "index.html")
+FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
 COMMAND = "make reproduce-table5"
 
 
@@ -252,3 +252,20 @@ def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):
     with pytest.raises(SystemExit) as stopped:
         reproduce.main(["table5"])
     assert str(stopped.value).startswith("error: there is no table 'table5'")
+
+
+def test_the_runs_behind_a_table_are_told_without_a_path_of_this_machine(complete, table, micro_tables, tmp_path):
+    told = json.loads(rendered(table, micro_tables, tmp_path)["table.json"])
+    runs = {run["name"]: run for run in told["runs"]}
+    (row,) = [row for row in plan(table, micro_tables) if row.spec["key"] == "mardm_sit"]
+    for stage, path in row.place.runs.items():
+        run = runs[path.name]
+        assert run["stage"] == stage
+        assert row.spec["label"] in run["rows"]
+        assert run["facts"]["parameters"] > 0
+        assert run["curves"], stage
+    generator = runs[row.place.runs["generator"].name]
+    assert "MARDM" in generator["config"]["generator"]["model"]["_target_"]
+    assert generator["facts"]["from tokenizer"] in runs
+    assert str(tmp_path.parent) not in json.dumps(told["runs"])
+    assert set(told["motions"]) >= {"real", "mardm_sit", "shuffled"}

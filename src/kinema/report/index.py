@@ -96,11 +96,18 @@ def _studies(titles: dict[str, str]) -> str:
 
 
 def _others(folders: list[Path]) -> str:
+    """List the files of folders that leave no data for pages (figures), their images shown."""
     items = []
     for folder in folders:
-        files = " ".join(_file(folder.name, path.name) for path in sorted(folder.iterdir()) if path.is_file())
-        items.append(f"<li>{escape(folder.name)}: {files}</li>")
-    return f"<h2>Other reports</h2>\n<ul>{''.join(items)}</ul>" if items else ""
+        names = [path.name for path in sorted(folder.iterdir()) if path.is_file()]
+        files = " ".join(_file(folder.name, name) for name in names)
+        images = "".join(
+            f"<img src='{escape(folder.name)}/{escape(name)}' alt='{escape(name)}'>"
+            for name in names
+            if name.endswith((".png", ".svg"))
+        )
+        items.append(f"<section class='study'><h3>{escape(folder.name)}</h3>\n{images}\n<p>{files}</p></section>")
+    return "<h2>Figures and other reports</h2>\n" + "\n".join(items) if items else ""
 
 
 def _file(folder: str, name: str) -> str:
