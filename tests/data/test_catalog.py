@@ -68,6 +68,20 @@ def test_a_clip_listed_twice_is_refused(joints_corpus, again, says):
         read_joints_folder(root)
 
 
+def test_a_folder_may_hold_further_splits(joints_corpus):
+    other = joints_corpus / "other"
+    other.mkdir()
+    own = read_joints_folder(joints_corpus)
+    for part in ("train", "val", "test"):
+        names = [clip.name for clip in own if clip.split == part]
+        following = {"train": "val", "val": "test", "test": "train"}[part]
+        (other / f"{following}.txt").write_text("\n".join(names))
+    turned = {clip.name: clip.split for clip in read_joints_folder(joints_corpus, split="other")}
+    assert turned == {c.name: {"train": "val", "val": "test", "test": "train"}[c.split] for c in own}
+    with pytest.raises(FileNotFoundError, match=r"lacks new/train.txt, new/val.txt, new/test.txt"):
+        read_joints_folder(joints_corpus, split="new")
+
+
 def test_official_folder_knows_its_mirrored_clips_and_statistics(official_corpus):
     root = official_corpus({"000001": ("train", 50), "M000001": ("train", 50), "Mimic": ("val", 50)})
     assert read_official(root).statistics is None
