@@ -69,17 +69,15 @@ def test_a_clip_listed_twice_is_refused(joints_corpus, again, says):
 
 
 def test_a_folder_may_hold_further_splits(joints_corpus):
-    other = joints_corpus / "other"
-    other.mkdir()
-    own = read_joints_folder(joints_corpus)
-    for part in ("train", "val", "test"):
-        names = [clip.name for clip in own if clip.split == part]
-        following = {"train": "val", "val": "test", "test": "train"}[part]
-        (other / f"{following}.txt").write_text("\n".join(names))
-    turned = {clip.name: clip.split for clip in read_joints_folder(joints_corpus, split="other")}
-    assert turned == {c.name: {"train": "val", "val": "test", "test": "train"}[c.split] for c in own}
+    root = joints_corpus({"a": ("train", 50), "b": ("val", 50), "c": ("test", 50)})
+    (root / "other").mkdir()
+    for part, name in (("train", "c"), ("val", "a"), ("test", "b")):
+        (root / "other" / f"{part}.txt").write_text(name)
+    assert [(c.name, c.split) for c in read_joints_folder(root)] == [("a", "train"), ("b", "val"), ("c", "test")]
+    other = read_joints_folder(root, split="other")
+    assert [(c.name, c.split) for c in other] == [("c", "train"), ("a", "val"), ("b", "test")]
     with pytest.raises(FileNotFoundError, match=r"lacks new/train.txt, new/val.txt, new/test.txt"):
-        read_joints_folder(joints_corpus, split="new")
+        read_joints_folder(root, split="new")
 
 
 def test_official_folder_knows_its_mirrored_clips_and_statistics(official_corpus):
