@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from kinema.data.leakage import CAPTION, FRAMES, TAKE
 from kinema.experiments import evaluation, reproduce, tables
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
@@ -93,6 +94,14 @@ def test_the_table_names_what_it_rests_on(complete, table, micro_tables, tmp_pat
     assert COMMAND in text
     # Nothing of HumanML3D may stand beside another corpus' numbers unsaid.
     assert "synthetic" in text.split("|")[0]
+
+
+def test_clips_are_told_apart_by_captions_that_training_has(complete, table, micro_tables):
+    for line in plan(table, micro_tables)[0].place.lines:
+        parts = {value: part["n"] for value, part in line["breakdowns"][CAPTION].items()}
+        assert parts.keys() == {"seen", "unseen"}
+        assert sum(parts.values()) == line["metrics"]["n"]
+        assert not {TAKE, FRAMES} & line["breakdowns"].keys()  # a generated corpus has no takes
 
 
 def test_a_corpus_of_no_paper_stands_beside_the_panel_of_its_skeleton(micro_tables, tmp_path):

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.studies import reproduce_study, studies
-from kinema.experiments.tables import TableRow, load_table, plan, render_table
+from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
 from kinema.report.intervals import FORMS, Form
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -63,6 +63,9 @@ def reproduce(
     if intervals is not None:
         table["intervals"] = intervals
     shared = [o for o in overrides if not o.startswith("launcher=")]
+    if not meant_for(table, shared):
+        console.print(f"skipped   {name} is a table of data={', data='.join(table['only'])} alone")
+        return
     rows = plan(table, shared)
     failure: JobsFailedError | None = None
     if not render_only and any(row.cfg is not None and not row.complete for row in rows):

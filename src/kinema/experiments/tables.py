@@ -8,6 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.experiments.breakdowns import breakdowns, footnotes
 from kinema.experiments.config import CONF, compose, plain
 from kinema.experiments.corpus import corpus_label
 from kinema.experiments.evaluation import Row, describe
@@ -54,12 +55,21 @@ class TableRow:
 
 
 def load_table(name: str) -> dict[str, Any]:
-    """Read conf/table/NAME.yaml; raises FileNotFoundError naming the tables there are."""
+    """Read conf/table/NAME.yaml; a table `like` another has of it what its own file doesn't say.
+
+    Raises FileNotFoundError naming the tables there are.
+    """
     path = CONF / "table" / f"{name}.yaml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
         raise FileNotFoundError(f"there is no table {name!r}; tables: {known}")
-    return plain(OmegaConf.load(path))
+    own = plain(OmegaConf.load(path))
+    return {**load_table(own.pop("like")), **own} if "like" in own else own
+
+
+def meant_for(table: dict[str, Any], overrides: list[str]) -> bool:
+    """Say whether a table is about the corpus of the overrides; one that names no corpora in `only` is about any."""
+    return "only" not in table or compose(overrides, "evaluate").data.name in table["only"]
 
 
 def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
@@ -108,7 +118,9 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(lines, command)
-    filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]
+    shown = [(row.spec, row.lines) for row in rows if results[row.spec["key"]] and "metrics" not in row.spec]
+    filled["breakdowns"] = [_beside(beside, filled["rows"]), *breakdowns(shown)]
+    filled["footnotes"] = [*table.get("footnotes", []), *footnotes(shown)]
     motions = {
         row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")
         for row in rows
@@ -225,29 +237,3 @@ def _steps_note(row: TableRow) -> str:
 def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
     shown = [{**row, "published": None} for row in rows if row["results"]]
     return {"title": "Beside the paper's metrics", "columns": columns, "rows": shown}
-
-
-BREAKDOWN_COLUMNS = [
-    {"key": "n", "label": "clips", "better": "none", "digits": 0},
-    {"key": "r1", "label": "R@1", "better": "higher", "digits": 3},
-    {"key": "r3", "label": "R@3", "better": "higher", "digits": 3},
-    {"key": "matching", "label": "Matching", "better": "lower", "digits": 3},
-]
-
-
-def _breakdowns(rows: list[TableRow], results: Results) -> list[dict[str, Any]]:
-    """Return one table per manifest field: every row's metrics by the field's values."""
-    fields: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        if not results[row.spec["key"]] or "metrics" in row.spec:
-            continue
-        lines = row.lines
-        for name in sorted(lines[0]["breakdowns"]):
-            for value in sorted({v for line in lines for v in line["breakdowns"][name]}):
-                cells = [line["breakdowns"][name][value] for line in lines if value in line["breakdowns"][name]]
-                label = f"{row.spec['label']}: {value}"
-                entry = {"key": f"{row.spec['key']}-{value}", "label": label, "kind": row.spec["kind"], "note": ""}
-                fields.setdefault(name, []).append({**entry, "published": None, "results": cells})
-    return [
-        {"title": f"By {name}", "columns": BREAKDOWN_COLUMNS, "rows": found} for name, found in sorted(fields.items())
-    ]
