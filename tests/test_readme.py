@@ -138,7 +138,7 @@ def check_overrides(overrides, config):
 
 
 def test_overrides_that_the_text_names_compose():
-    """Compose inline code such as `text=clip_b32` or `+generator.model.mask_length=own`, for a method or corpus that has it."""
+    """Compose inline code such as `text=clip_b32`, for a method or corpus that has it."""
     text = "\n".join(page.read_text() for page in PAGES)
     codes = " ".join(re.findall(r"`([^`\n]+)`", text)).split()
     overrides = sorted({code for code in codes if re.fullmatch(OVERRIDE, code) and "..." not in code})
