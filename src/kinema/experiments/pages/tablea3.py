@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import shlex
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,13 +18,14 @@ from kinema.evaluation.latency import PARTS, Latency, measure_latency
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import read_model, text_encoder
+from kinema.experiments.pages.sections import Rows, Section, write_page
+from kinema.experiments.pages.subjects import read_motions
+from kinema.experiments.request import Request
 from kinema.experiments.run import run_stage
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
-from kinema.experiments.studies.sections import Rows, Section, write_page
-from kinema.experiments.studies.subjects import read_motions
 from kinema.experiments.training import initial_model
 from kinema.pipeline import TextToMotion
 from kinema.runs.build import build
@@ -39,53 +39,45 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def carry_out(
-    study: dict[str, Any],
-    overrides: list[str],
-    *,
-    render_only: bool = False,
-    jobs: int | None = None,
-    out: Path | None = None,
-) -> list[Path]:
-    """Time every method, one after the other in this process (`jobs` would share the machine), and write the page.
+def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
+    """Time every method, one after the other in this process (jobs would share the machine), and write the page.
 
     Raises ValueError for `render_only`: times are of this machine now, and none are kept.
     """
-    if render_only:
+    if request.render_only:
         raise ValueError("tablea3 measures anew at every call and keeps nothing to render; leave --render-only out")
-    shared = [o for o in overrides if not o.startswith("launcher=")]
+    shared = request.shared
     rows: Rows = []
     cfg = compose(shared, "evaluate")
     Machine(**plain(cfg.trainer)).limit_threads()
     store = PackedStore.open(open_corpus(cfg))
-    asked = read_motions(store, "test", study["motions"])
-    for spec in study["methods"]:
+    asked = read_motions(store, "test", page["motions"])
+    for spec in page["methods"]:
         own = compose([*shared, f"method={spec['method']}", *spec.get("overrides", [])], "evaluate")
-        timed = time_method(spec, own, store, asked, study)
+        timed = time_method(spec, own, store, asked, page)
         told = ", ".join(f"batch {row['batch']} {row['s / motion']:.3g} s a motion" for row in timed)
         console.print(f"timed     {spec['label']}: {told}")
         rows += [{**row, "paper (s)": spec.get("paper") if row["batch"] == 1 else None} for row in timed]
     shown = [{key: value for key, value in row.items() if key != "key"} for row in rows]
-    inches = (8.0, 0.35 * len(study["methods"]) + 1.5)
+    inches = (8.0, 0.35 * len(page["methods"]) + 1.5)
     section = Section("times", rows, shown, partial(_draw, rows=rows), inches)
-    facts = {"command": shlex.join(["kinema", "reproduce", study["name"], *shared]), **machine(cfg)}
-    out = out or Path("reports") / f"{study['name']}-{cfg.data.name}-{cfg.scale.name}"
-    return write_page(study, [section], facts, out)
+    facts = {"command": request.command, **machine(cfg)}
+    return write_page(page, [section], facts, request.folder(cfg))
 
 
 def time_method(
-    spec: dict[str, Any], cfg: DictConfig, store: PackedStore, asked: MotionBatch, study: dict[str, Any]
+    spec: dict[str, Any], cfg: DictConfig, store: PackedStore, asked: MotionBatch, page: dict[str, Any]
 ) -> Rows:
     """Return a row for each batch size."""
     model, sampling = untrained(cfg, store, asked), build(plain(cfg.generator.sampling))
     lengths = asked.lengths.clamp(max=model.max_frames).tolist()
     found = []
-    for size in study["batches"]:
+    for size in page["batches"]:
         if len(lengths) < size:
             console.print(f"[yellow]note[/]      no batch of {size}: the test split has {len(lengths)} motions")
             continue
         timed = measure_latency(
-            model, asked.texts, lengths, batch=size, warmup=study["warmup"], sampling=sampling, seed=cfg.seed
+            model, asked.texts, lengths, batch=size, warmup=page["warmup"], sampling=sampling, seed=cfg.seed
         )
         parameters = sum(p.numel() for p in model.generator.parameters())
         row = {"key": spec["key"], "method": spec["label"], "batch": size}
