@@ -14,7 +14,8 @@ from kinema.experiments.config import CONF, compose
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.pages import load_page
 from kinema.experiments.pages.subjects import read_motions
-from kinema.experiments.pages.tablea3 import summary, untrained
+from kinema.experiments.pages.tablea3 import summary
+from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.reproduce import reproduce
 
 ALONE = {"mdm_epsilon", "mardm_frames", "mardm_parallel"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,23 +16,15 @@ from kinema.devices import find_device
 from kinema.evaluation.latency import PARTS, Latency, measure_latency
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus
-from kinema.experiments.instantiate import read_model, text_encoder
 from kinema.experiments.pages.sections import Rows, Section, write_page
 from kinema.experiments.pages.subjects import read_motions
+from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.request import Request
-from kinema.experiments.run import run_stage
-from kinema.experiments.stages import get_stage
-from kinema.experiments.stages.fitted import FittedStage
-from kinema.experiments.stages.generator import GeneratorStage
-from kinema.experiments.stages.tokenizer import TokenizerStage
-from kinema.experiments.training import initial_model
-from kinema.pipeline import TextToMotion
 from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.versions import versions
-from kinema.tokenizers import MotionTokenizer
 from kinema.training.fit import Machine
-from kinema.types import Latents, MotionBatch
+from kinema.types import MotionBatch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -93,46 +84,6 @@ def summary(timed: list[Latency]) -> dict[str, Any]:
     calls = [sum(latency.calls.values()) for latency in timed if latency.calls]
     row["network calls"] = sum(calls) / len(calls) if calls else None
     return row | {"motions": motions}
-
-
-def untrained(cfg: DictConfig, store: PackedStore, motions: MotionBatch) -> TextToMotion:
-    """Build a method as training would begin with it: what it takes does not depend on its weights, but on lengths.
-
-    What it keeps of its training latents (their range) it keeps of those of `motions`.
-    """
-    tokenizer, generator = (_part(stage.name, cfg, store) for stage in (TokenizerStage, GeneratorStage))
-    tokenizer.eval()
-    generator.prepare(tokenizer, EncodedMotions(tokenizer, motions))
-    parts = {name: _part(name, cfg, store) for name in generator.parts if get_stage(name).present(cfg)}
-    device = find_device(cfg.trainer.accelerator)
-    return TextToMotion(tokenizer, generator, text_encoder(cfg, device), parts).to(device)
-
-
-@dataclass(frozen=True)
-class EncodedMotions:
-    """Be the latents of some motions where a model asks for those of its training."""
-
-    tokenizer: MotionTokenizer
-    motions: MotionBatch
-
-    def __call__(
-        self, batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
-    ) -> Latents:
-        """Encode a batch."""
-        return self.tokenizer.encode(batch)
-
-    @torch.no_grad()
-    def range(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return minimum and maximum of each channel."""
-        latents = self(self.motions)
-        return latents.content[latents.mask].aminmax(dim=0)
-
-
-def _part(name: str, cfg: DictConfig, store: PackedStore) -> Any:
-    stage = get_stage(name)
-    if isinstance(stage, FittedStage):
-        return initial_model(stage, cfg, store)[0]
-    return read_model(run_stage(cfg, name, quiet=True).path, name)  # a database, which is built and not trained
 
 
 def machine(cfg: DictConfig) -> dict[str, Any]:
