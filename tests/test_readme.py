@@ -92,7 +92,7 @@ def check_kinema(words):
 
 
 def reproducible(name):
-    return any((CONF / group / f"{name}.yaml").exists() for group in ("table", "study"))
+    return any((CONF / group / f"{name}.yaml").exists() for group in ("table", "page"))
 
 
 def check_make(words):

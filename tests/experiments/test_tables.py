@@ -14,7 +14,8 @@ from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments import evaluation, reproduce, tables
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
-from kinema.experiments.reproduce import missing_work
+from kinema.experiments.jobs import JobsFailedError, missing_jobs
+from kinema.experiments.multirun import run_multiruns, steps, sweeps
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
 
 FILES = ("table.md", "table.csv", "table.tex", "index.html")
@@ -119,7 +120,7 @@ def test_a_corpus_of_no_paper_stands_beside_the_panel_of_its_skeleton(micro_tabl
 
 
 def test_fewer_steps_than_a_model_was_trained_with_are_said(micro_tables):
-    notes = {row.spec["key"]: tables._filled(row, {}, [])["note"] for row in plan(load_table("table5"), micro_tables)}
+    notes = {row.spec["key"]: tables._filled([row], {}, [])["note"] for row in plan(load_table("table5"), micro_tables)}
     assert "sampled in 16 of its 50 diffusion steps" in notes["mardm_ddpm"]
     assert "of its 1000 diffusion steps" in notes["motiondiffuse"]
     assert "diffusion steps" not in notes["mardm_sit"]
@@ -157,7 +158,7 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro_tables, 
     path, _, before = gap
     reproduce.reproduce("table5", micro_tables, render_only=True, out=tmp_path / "blank")
     assert "no complete results for: MARDM-SiT" in capfd.readouterr().out
-    reproduce.reproduce("table5", [*micro_tables, "launcher=none"], out=tmp_path / "whole")
+    reproduce.reproduce("table5", [*micro_tables, "launcher=local"], out=tmp_path / "whole")
     ours, theirs = (row_of(x, "mardm_sit") for x in ((tmp_path / "whole/table.csv").read_text(), before["table.csv"]))
     for metric in ("r1", "fid", "matching", "multimodality", "clip_score"):
         assert float(ours[metric]) == pytest.approx(float(theirs[metric]), rel=1e-3)  # threads add up differently
@@ -180,8 +181,24 @@ def test_a_job_that_fails_is_named_and_its_rows_say_why(table, micro_tables, tmp
     shown = (tmp_path / "report/table.md").read_text()
     assert "Real motion with shuffled captions: failed: " in shown
     assert "100000" in shown
-    with pytest.raises(OSError, match=r"`kinema train -m .*` failed \(see above\)"):
-        reproduce.run_multiruns(plan(table, wrong), wrong)
+
+
+@pytest.mark.slow
+def test_a_multirun_that_fails_leaves_out_what_waits_for_it(table, micro_tables, tmp_path, capfd):
+    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
+    rows = plan({**table, "rows": [row for row in table["rows"] if row["key"] in ("real", "shuffled")]}, wrong)
+    with pytest.raises(JobsFailedError) as failure:
+        run_multiruns(missing_jobs(rows), wrong)
+    assert [job.overrides[0] for job in failure.value.failed] == ["stage=decomposition"]
+    assert "100000" in str(failure.value)
+    assert [job.overrides[0] for job in failure.value.left_out] == ["stage=matching", "source=real", "source=shuffled"]
+    assert any((tmp_path / "runs/contrastive").glob("*/weights.safetensors"))  # of the same step: it was made
+    said = capfd.readouterr().out
+    assert said.count("run       ") == 1
+
+
+def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
+    return [(command, choices) for command, step in steps(missing_jobs(rows)) for choices in sweeps(step)]
 
 
 def test_nothing_is_left_to_run_when_all_is_there(complete, table, micro_tables):

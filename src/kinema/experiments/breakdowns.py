@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from kinema.data.leakage import FRAMES, TAKE
+from kinema.experiments.replications import over_seeds
 
 COLUMNS = [
     {"key": "n", "label": "clips", "better": "none", "digits": 0},
@@ -19,29 +21,62 @@ FEWEST = 512
 PARTS = (("no shared frames", FRAMES, "none"), ("no shared take", TAKE, "unseen"))
 """What is left of a test without what training has: each a value of a field, the second within the first."""
 
-Shown = list[tuple[dict[str, Any], list[dict[str, Any]]]]
-"""Rows that have results: their descriptions and their lines by replication."""
+
+@dataclass(frozen=True)
+class Parts:
+    """Hold a row that has results: its description, and its lines by training seed and replication."""
+
+    spec: dict[str, Any]
+    seeds: list[list[dict[str, Any]]]
+
+    @property
+    def whole(self) -> list[dict[str, float]]:
+        """The metrics of the whole test."""
+        return over_seeds([[line["metrics"] for line in lines] for lines in self.seeds])
+
+    def values(self, field: str) -> list[str]:
+        """Name the values of a field; none where no line knows it."""
+        return sorted({value for parts in self._parts(field) for part in parts for value in part})
+
+    def of(self, field: str, value: str) -> list[dict[str, float]]:
+        """Return the metrics of a part; a replication without it, or from before the field was known, has none."""
+        found = [[part[value] for part in parts if value in part] for parts in self._parts(field)]
+        found = [cells for cells in found if cells]
+        return over_seeds(found) if found else []
+
+    @property
+    def fields(self) -> set[str]:
+        """The fields that any line knows."""
+        return {name for lines in self.seeds for line in lines for name in line["breakdowns"]}
+
+    def row(self, part: str, results: list[dict[str, float]]) -> dict[str, Any]:
+        """Describe a part as a row."""
+        row = {"key": f"{self.spec['key']}-{part}", "label": f"{self.spec['label']}: {part}", "kind": self.spec["kind"]}
+        return {**row, "note": "", "published": None, "results": results}
+
+    def _parts(self, field: str) -> list[list[dict[str, dict[str, float]]]]:
+        return [[line["breakdowns"].get(field, {}) for line in lines] for lines in self.seeds]
 
 
-def breakdowns(shown: Shown) -> list[dict[str, Any]]:
+def breakdowns(shown: list[Parts]) -> list[dict[str, Any]]:
     """Return the tables of parts: the official test beside what of it training has not seen, then field by field."""
     near = _by_nearness(shown)
     return [*([near] if near["rows"] else []), *_by_fields(shown)]
 
 
-def footnotes(shown: Shown) -> list[str]:
+def footnotes(shown: list[Parts]) -> list[str]:
     """Say so where no test clip is of a take that training has: there is then nothing to leave out."""
-    found = {value for _, lines in shown for line in lines for value in line["breakdowns"].get(TAKE, {})}
+    found = {value for row in shown for value in row.values(TAKE)}
     return ["No test clip is of a take that training has."] if found == {"unseen"} else []
 
 
-def _by_nearness(shown: Shown) -> dict[str, Any]:
+def _by_nearness(shown: list[Parts]) -> dict[str, Any]:
     """Return every row as published, without shared frames, without shared takes; no row where nothing is shared."""
     rows = []
-    for spec, lines in shown:
-        if any("seen" in line["breakdowns"].get(TAKE, {}) for line in lines):
-            rows.append(_entry(spec, "official", [line["metrics"] for line in lines]))
-            rows += [_entry(spec, part, cells) for part, *key in PARTS if (cells := _cells(lines, *key))]
+    for parts in shown:
+        if "seen" in parts.values(TAKE):
+            rows.append(parts.row("official", parts.whole))
+            rows += [parts.row(name, cells) for name, *where in PARTS if (cells := parts.of(*where))]
     for row in rows:
         if min(cell["n"] for cell in row["results"]) < FEWEST:
             row["results"] = [{key: cell[key] for key in cell if key != "fid"} for cell in row["results"]]
@@ -49,22 +84,10 @@ def _by_nearness(shown: Shown) -> dict[str, Any]:
     return {"title": "Without the frames and takes that training has", "columns": columns, "rows": rows}
 
 
-def _by_fields(shown: Shown) -> list[dict[str, Any]]:
+def _by_fields(shown: list[Parts]) -> list[dict[str, Any]]:
     """Return one table per field: every row's metrics by the field's values."""
     fields: dict[str, list[dict[str, Any]]] = {}
-    for spec, lines in shown:
-        for name in sorted({name for line in lines for name in line["breakdowns"]} - {TAKE, FRAMES}):
-            values = sorted({value for line in lines for value in line["breakdowns"].get(name, {})})
-            fields.setdefault(name, []).extend(_entry(spec, value, _cells(lines, name, value)) for value in values)
+    for row in shown:
+        for name in row.fields - {TAKE, FRAMES}:
+            fields.setdefault(name, []).extend(row.row(value, row.of(name, value)) for value in row.values(name))
     return [{"title": f"By {name}", "columns": COLUMNS, "rows": found} for name, found in sorted(fields.items())]
-
-
-def _cells(lines: list[dict[str, Any]], name: str, value: str) -> list[dict[str, Any]]:
-    """Return a part's metrics by replication; a line from before the field was known has none."""
-    return [parts[value] for line in lines if value in (parts := line["breakdowns"].get(name, {}))]
-
-
-def _entry(spec: dict[str, Any], part: str, cells: list[dict[str, Any]]) -> dict[str, Any]:
-    """Describe a part of a row as a row."""
-    entry = {"key": f"{spec['key']}-{part}", "label": f"{spec['label']}: {part}", "kind": spec["kind"], "note": ""}
-    return {**entry, "published": None, "results": cells}
