@@ -17,7 +17,7 @@ def takes(
 ) -> Iterator[Finding]:
     """Count the unmirrored test clips whose takes and frames training has, where the corpus tells the takes."""
     rows, _ = tabulate(origins)
-    where = np.array(splits)
+    where = np.array(splits, dtype=str)
     asked = np.flatnonzero((where == "test") & ~np.array(mirrored, dtype=bool))
     known = asked[rows["take"][asked] >= 0]
     if not len(known):
@@ -30,7 +30,8 @@ def takes(
         f"{_part(shares > 0)} share frames with a training clip, {_part(shares >= HALF)} at least half of theirs"
     )
     items = tuple(f"{names[known[i]]} ({shares[i]:.0%})" for i in np.argsort(-shares, kind="stable") if shares[i] > 0)
-    yield Finding("info", "nearness", message, "see how results are without them: tables say it" * bool(items), items)
+    fix = "read results without them too: tables have them in parts" if items else ""
+    yield Finding("info", "nearness", message, fix, items)
 
 
 def words(patient: Patient) -> Iterator[Finding]:
