@@ -16,6 +16,11 @@ STAMP  := $(VENV)/.installed
 DOCS   := $(VENV)/.docs
 TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
 PAGES  := $(patsubst conf/page/%.yaml,%,$(wildcard conf/page/*.yaml))
+# The tables that have a panel of KIT-ML, and the corpus that it is of beside DATA.
+PANELS := $(patsubst conf/table/%.yaml,%,$(shell grep -l '^  kit_ml:' conf/table/*.yaml))
+KIT_OF_synthetic := synthetic_kit
+KIT_OF_humanml3d := kit_ml
+KIT    := $(KIT_OF_$(DATA))
 # Pages say themselves how often they train; a plan runs nothing.
 FLAGS   = $(if $(filter $*,$(TABLES)),$(if $(SEEDS),--seeds $(SEEDS))) $(if $(PLAN),--plan)
 
@@ -67,7 +72,11 @@ reproduce-%: $(STAMP)
 reproduce-bad-figure2: $(STAMP)  ## draw Figure 2 of the BAD paper from the masks in use
 	$(KINEMA) figures bad_masks --out reports/bad-figure2
 
-reproduce-all: $(TABLES:%=reproduce-%) $(PAGES:%=reproduce-%) reproduce-bad-figure2  ## reproduce every table, figure and page
+# The KIT panel of a table, beside the other one.
+reproduce-%-kit: $(STAMP)
+	$(KINEMA) reproduce $* data=$(KIT) scale=$(SCALE) launcher=$(LAUNCHER) $(FLAGS) $(ARGS) --out reports/$*-kit
+
+reproduce-all: $(TABLES:%=reproduce-%) $(PAGES:%=reproduce-%) reproduce-bad-figure2 $(if $(KIT),$(PANELS:%=reproduce-%-kit))  ## reproduce every table, figure and page, and the panels of KIT-ML beside them
 
 demo: reproduce-table5  ## generate a motion from a sentence, with the generator of table5's last row
 	$(KINEMA) generate "a person waves with the left hand" \
