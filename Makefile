@@ -29,9 +29,9 @@ FLAGS   = $(if $(filter $*,$(TABLES)),$(if $(SEEDS),--seeds $(SEEDS))) $(if $(PL
 # `target: needs  ## what it does` is what is listed; tables and pages are listed by their titles.
 help:  ## list the targets
 	@sed -nE 's/^([a-z][a-z0-9-]*):.*  ## (.*)/\1\t\2/p' Makefile | while IFS="$$(printf '\t')" read -r name what; do \
-	  printf '  %-24s %s\n' "$$name" "$$what"; done
+	  printf '  %-30s %s\n' "$$name" "$$what"; done
 	@for file in $(TABLES:%=conf/table/%.yaml) $(PAGES:%=conf/page/%.yaml); do \
-	  printf '  %-24s %s\n' "reproduce-$$(basename $$file .yaml)" "$$(sed -n 's/^title: //p' $$file)"; done
+	  printf '  %-30s %s\n' "reproduce-$$(basename $$file .yaml)" "$$(sed -n 's/^title: //p' $$file)"; done
 	@echo 'Variables: DATA=$(DATA) SCALE=$(SCALE) LAUNCHER=$(LAUNCHER) SEEDS= PLAN= ARGS= (any overrides) VENV=$(VENV) PYTHON=$(PYTHON)'
 
 install: $(STAMP)  ## make .venv with the locked versions and this package, editable

@@ -15,7 +15,7 @@ from kinema.experiments.multirun import run_multiruns
 from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.request import Request
-from kinema.experiments.tables import TableRow, load_table, plan, render_table
+from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
 from kinema.report.intervals import FORMS
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -66,6 +66,9 @@ def reproduce(name: str, overrides: list[str], **options: Any) -> None:
 
 
 def _reproduce_table(table: dict[str, Any], request: Request) -> None:
+    if not meant_for(table, request.shared):
+        console.print(f"skipped   {request.name} is a table of data={', data='.join(table['only'])} alone")
+        return
     if request.intervals is not None:
         table["intervals"] = request.intervals
     rows = plan(table, request.shared, request.seeds)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import CONF, compose, plain
 from kinema.experiments.corpus import corpus_label
 from kinema.experiments.evaluation import Row, describe
+from kinema.experiments.replications import over_seeds
 
 WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
 """Config groups that a table takes from its caller; the rest is the table's own."""
@@ -94,12 +95,21 @@ def grouped(rows: list[TableRow]) -> dict[str, Group]:
 
 
 def load_table(name: str) -> dict[str, Any]:
-    """Read conf/table/NAME.yaml; raises FileNotFoundError naming the tables there are."""
+    """Read conf/table/NAME.yaml; a table `like` another has of it what its own file doesn't say.
+
+    Raises FileNotFoundError naming the tables there are.
+    """
     path = CONF / "table" / f"{name}.yaml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
         raise FileNotFoundError(f"there is no table {name!r}; tables: {known}")
-    return plain(OmegaConf.load(path))
+    own = plain(OmegaConf.load(path))
+    return {**load_table(own.pop("like")), **own} if "like" in own else own
+
+
+def meant_for(table: dict[str, Any], overrides: list[str]) -> bool:
+    """Say whether a table is about the corpus of the overrides; one that names no corpora in `only` is about any."""
+    return "only" not in table or compose(overrides, "evaluate").data.name in table["only"]
 
 
 def plan(table: dict[str, Any], overrides: list[str], seeds: int = 1) -> list[TableRow]:
@@ -156,7 +166,13 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(rows, command)
-    filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(shown, results)]
+    parts = [
+        Parts(group[0].spec, [row.lines for row in group])
+        for key, group in shown.items()
+        if results[key] and "metrics" not in group[0].spec
+    ]
+    filled["breakdowns"] = [_beside(beside, filled["rows"]), *breakdowns(parts)]
+    filled["footnotes"] = [*table.get("footnotes", []), *footnotes(parts)]
     motions = {
         key: read_samples(row.place.folder.path / "samples.npz")
         for key, (row, *_) in shown.items()
@@ -237,16 +253,6 @@ def _results(group: Group) -> list[dict[str, Any]] | None:
     return [{key: m[name] for key, name in renamed.items()} for m in found] if renamed else found
 
 
-def over_seeds(found: list[list[dict[str, float]]]) -> list[dict[str, float]]:
-    """Return the replications of one seed as they are, of several seeds the mean of each seed's replications."""
-    return found[0] if len(found) == 1 else [_mean(lines) for lines in found]
-
-
-def _mean(lines: list[dict[str, float]]) -> dict[str, float]:
-    keys = [key for key in lines[0] if all(key in line for line in lines)]
-    return {key: math.fsum(line[key] for line in lines) / len(lines) for key in keys}
-
-
 def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:
     row, spec = group[0], group[0].spec
     notes = [note for one in group if (note := one.spec.get("note", ""))]
@@ -292,32 +298,3 @@ def _steps_note(row: TableRow) -> str:
 def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
     shown = [{**row, "published": None} for row in rows if row["results"]]
     return {"title": "Beside the paper's metrics", "columns": columns, "rows": shown}
-
-
-BREAKDOWN_COLUMNS = [
-    {"key": "n", "label": "clips", "better": "none", "digits": 0},
-    {"key": "r1", "label": "R@1", "better": "higher", "digits": 3},
-    {"key": "r3", "label": "R@3", "better": "higher", "digits": 3},
-    {"key": "matching", "label": "Matching", "better": "lower", "digits": 3},
-]
-
-
-def _breakdowns(groups: dict[str, Group], results: Results) -> list[dict[str, Any]]:
-    """Return one table per manifest field: every row's metrics by the field's values."""
-    fields: dict[str, list[dict[str, Any]]] = {}
-    for key, group in groups.items():
-        row = group[0]
-        if not results[key] or "metrics" in row.spec:
-            continue
-        seeds = [[line["breakdowns"] for line in one.lines] for one in group]
-        lines = [line for seed in seeds for line in seed]
-        for name in sorted(lines[0]):
-            for value in sorted({v for line in lines for v in line[name]}):
-                parts = [[line[name][value] for line in seed if value in line[name]] for seed in seeds]
-                cells = over_seeds([part for part in parts if part])
-                label = f"{row.spec['label']}: {value}"
-                entry = {"key": f"{key}-{value}", "label": label, "kind": row.spec["kind"], "note": ""}
-                fields.setdefault(name, []).append({**entry, "published": None, "results": cells})
-    return [
-        {"title": f"By {name}", "columns": BREAKDOWN_COLUMNS, "rows": found} for name, found in sorted(fields.items())
-    ]
