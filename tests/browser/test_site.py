@@ -33,9 +33,14 @@ def row(key: str, kind: str, fid: float | None, paper: float | None) -> dict:
 def table() -> dict:
     rows = [row("real", "real", 0.0, None), row("b", "method", 3.0, 0.1), row("a", "method", 1.0, 0.3)]
     run = {
-        "name": "sit", "stage": "generator", "rows": ["a", NASTY], "facts": {"seed": 0, "parameters": 1234567},
-        "config": {"caption": NASTY}, "curves": {"val/loss": [[1, 0.5], [2, 0.25]], "train/loss": [[1, 0.9], [2, 0.1]]},
-    }  # fmt: skip
+        "name": "sit",
+        "stage": "generator",
+        "rows": ["a", NASTY],
+        "judge": False,
+        "facts": {"seed": 0, "parameters": 1234567},
+        "config": {"caption": NASTY},
+        "curves": {"val/loss": [[1, 0.5], [2, 0.25]], "train/loss": [[1, 0.9], [2, 0.1]]},
+    }
     return {
         "name": "t",
         "title": f"Table {NASTY}",

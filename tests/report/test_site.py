@@ -1,4 +1,4 @@
-"""The site holds what table.json and study.json hold, escapes all of it, and says what the numbers can't say."""
+"""The site holds what table.json and page.json hold, escapes all of it, and says what the numbers can't say."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from kinema.report.cards import limits
 from kinema.report.gallery import inert
 from kinema.report.index import write_site
 from kinema.report.plots import Axis, curves
+from kinema.report.sections import sections_page
 from kinema.report.site import render
-from kinema.report.study import study_page
 from kinema.types import Motion
 
 NASTY = "</script><img src=x onerror='a'>\"'&<b>"
@@ -44,6 +44,7 @@ def table_of(word: str) -> dict:
         "name": word,
         "stage": word,
         "rows": [word],
+        "judge": False,
         "facts": {word: word, "seed": 0},
         "config": {word: {word: word}},
         "curves": {"val/loss": [[0, 1.0], [5, 0.5]], word: [[0, 2.0]]},
@@ -63,7 +64,7 @@ def table_of(word: str) -> dict:
     }
 
 
-def study_of(word: str) -> dict:
+def page_of(word: str) -> dict:
     section = {"name": "part", "title": word, "text": word, "image": "", "rows": [{word: word, "x": 0.5, "n": 3}]}
     return {"title": word, "lead": word, "sections": [section], "provenance": {word: word}}
 
@@ -72,8 +73,8 @@ def site_of(word: str, folder) -> dict[str, str]:
     joints = np.random.default_rng(0).normal(size=(12, 22, 3)).astype(np.float32)
     motion = Motion(joints, np.zeros((12, 0), np.float32), word, HUMANML3D.name, HUMANML3D.fps)
     render(table_of(word), folder / "table", {word: [motion]})
-    (folder / "study").mkdir()
-    (folder / "study" / "study.json").write_text(json.dumps(study_of(word)))
+    (folder / "measured").mkdir()
+    (folder / "measured" / "page.json").write_text(json.dumps(page_of(word)))
     (folder / "figure").mkdir()
     (folder / "figure" / "figure.md").write_text("a figure")
     return {str(path.relative_to(folder)): path.read_text() for path in write_site(folder)}
@@ -82,7 +83,7 @@ def site_of(word: str, folder) -> dict[str, str]:
 def test_nothing_that_a_report_says_can_inject(tmp_path):
     (tmp_path / "plain").mkdir(), (tmp_path / "nasty").mkdir()
     plain, nasty = site_of("plain", tmp_path / "plain"), site_of(NASTY, tmp_path / "nasty")
-    assert set(plain) == {"index.html", "gallery.html", "table/index.html", "study/index.html"}
+    assert set(plain) == {"index.html", "gallery.html", "table/index.html", "measured/index.html"}
     for name, text in nasty.items():
         assert Tags(text).tags == Tags(plain[name]).tags, name
 
@@ -92,7 +93,7 @@ def test_every_link_leads_to_a_file_of_the_site(tmp_path):
         links = [link for link in Tags(text).links if not link.startswith("#")]
         assert links or name == "index.html"
         for link in links:
-            if link != "part.csv":  # which the study's own writer writes
+            if link != "part.csv":  # which the page's own writer writes
                 assert ((tmp_path / name).parent / link).resolve().is_file(), (name, link)
 
 
@@ -158,7 +159,7 @@ def test_a_curve_without_a_finite_point_is_left_out():
     assert curves({"val/loss": [[0, float("inf")]]}) == ""
 
 
-def test_a_study_shows_numbers_that_sort():
-    page = study_page(study_of("word"), "../index.html")
+def test_a_page_shows_numbers_that_sort():
+    page = sections_page(page_of("word"), "../index.html")
     assert "<td data-ours='0.5'>0.5</td><td data-ours='3'>3</td>" in page
     assert "href='../index.html'" in page

@@ -29,18 +29,22 @@ CORPUS = ("name", "reader", "skeleton", "fps", "mirror", "options")
 def run_cards(rows: Iterable[TableRow]) -> list[dict[str, Any]]:
     """Return the runs that the complete rows read, and those these were made from, each once, by stage and name."""
     behind: dict[Path, list[str]] = {}
+    judging: set[Path] = set()
     for row in rows:
         if row.place is None or not row.complete:
             continue
-        for path in row.place.runs.values():
-            for one in (path, *upstream(path).values()):
-                labels = behind.setdefault(one.resolve(), [])
-                if row.spec["label"] not in labels:
-                    labels.append(row.spec["label"])
-    return [_card(path, labels) for path, labels in sorted(behind.items(), key=lambda item: item[0].parts[-2:])]
+        for name, path in row.place.runs.items():
+            for one in (path.resolve(), *upstream(path).values()):
+                labels = behind.setdefault(one, [])
+                if row.label not in labels:
+                    labels.append(row.label)
+                if name in row.place.judges:
+                    judging.add(one)
+    ordered = sorted(behind.items(), key=lambda item: item[0].parts[-2:])
+    return [_card(path, labels, path in judging) for path, labels in ordered]
 
 
-def _card(path: Path, labels: list[str]) -> dict[str, Any]:
+def _card(path: Path, labels: list[str], judge: bool) -> dict[str, Any]:
     status, stage = RunFolder(path).status, path.parent.name
     cfg = OmegaConf.load(path / "config.yaml") if (path / "config.yaml").is_file() else OmegaConf.create()
     facts: dict[str, Any] = {key: status[key] for key in FACTS if key in status}
@@ -52,6 +56,7 @@ def _card(path: Path, labels: list[str]) -> dict[str, Any]:
         "name": path.name,
         "stage": stage,
         "rows": labels,
+        "judge": judge,
         "facts": facts,
         "config": _shown(cfg, stage),
         "curves": _curves(path),

@@ -10,7 +10,7 @@ from kinema.report.plots import curves
 from kinema.report.text import PAPER_CORPORA
 
 Run = dict[str, Any]
-"""A run: name, stage, rows, facts, config, curves (name: [[step, value], ...])."""
+"""A run: name, stage, rows, judge (whether it only judges), facts, config, curves (name: [[step, value], ...])."""
 
 
 def limits(table: dict[str, Any]) -> list[str]:
@@ -21,7 +21,7 @@ def limits(table: dict[str, Any]) -> list[str]:
         found.append(f"The corpus is {corpus}, not the paper's: levels can't be held against published ones.")
     if scale and scale != "paper":
         found.append(f"The scale is {scale}: models are smaller and trained for less than the papers'.")
-    seeds = {run["facts"].get("seed") for run in table.get("runs", ())} - {None}
+    seeds = {run["facts"].get("seed") for run in table.get("runs", ()) if not run["judge"]} - {None}
     if len(seeds) == 1:
         found.append(
             f"One training seed ({seeds.pop()}): intervals are over the evaluation's draws, not over trainings."

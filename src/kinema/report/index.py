@@ -1,4 +1,4 @@
-"""Write the site: a first page over all tables and studies of a folder, and one gallery of all their motions."""
+"""Write the site: a first page over all tables and pages of a folder, and one gallery of all their motions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from kinema.atomic import write_text
 from kinema.report.content import Content, content_of
 from kinema.report.gallery import gallery, group_of
 from kinema.report.page import document, html_page
-from kinema.report.study import study_page
+from kinema.report.sections import sections_page
 from kinema.report.text import PAPER_CORPORA
 
 TITLE = "Kinema: results"
@@ -19,18 +19,18 @@ _HOME = "../index.html"
 
 
 def write_site(reports: str | Path) -> list[Path]:
-    """Write index.html and gallery.html of a folder, and anew the pages of its tables and studies, with the way back.
+    """Write index.html and gallery.html of a folder, and anew what lies in its folders, with the way back.
 
-    Tables are folders with a table.json, studies with a study.json; of other folders with a report in Markdown the
+    Tables are folders with a table.json, pages with a page.json; of other folders with a report in Markdown the
     files are listed. Nothing is computed but cells. Raises FileNotFoundError for a folder without any of these.
     """
     reports = Path(reports)
     folders = sorted(path for path in reports.iterdir() if path.is_dir()) if reports.is_dir() else []
     tables = {f.name: content_of(_read(f / "table.json")) for f in folders if (f / "table.json").exists()}
-    studies = {f.name: _read(f / "study.json") for f in folders if (f / "study.json").exists()}
-    others = [f for f in folders if f.name not in {*tables, *studies} and any(f.glob("*.md"))]
-    if not (tables or studies or others):
-        raise FileNotFoundError(f"{reports} holds no report of a table or study; make one: `kinema reproduce table5`")
+    pages = {f.name: _read(f / "page.json") for f in folders if (f / "page.json").exists()}
+    others = [f for f in folders if f.name not in {*tables, *pages} and any(f.glob("*.md"))]
+    if not (tables or pages or others):
+        raise FileNotFoundError(f"{reports} holds no report; make one: `kinema reproduce table5`")
     groups = [g for name, content in tables.items() if (g := group_of(content.table, f"{name}/"))]
     parts = [
         f"<header class='kinema-page-head'><h1>{TITLE}</h1></header>",
@@ -38,7 +38,7 @@ def write_site(reports: str | Path) -> list[Path]:
         "<p><a href='gallery.html'>All motions, prompt by prompt, methods beside or over each other</a></p>"
         if groups
         else "",
-        _studies({name: study["title"] for name, study in studies.items()}),
+        _pages({name: told["title"] for name, told in pages.items()}),
         _others(others),
     ]
     written = [write_text(reports / "index.html", document(TITLE, parts))]
@@ -47,9 +47,9 @@ def write_site(reports: str | Path) -> list[Path]:
         groups.sort(key=lambda group: -len(group["sources"]))
         text = document("Gallery", [heading, gallery(groups)], "index.html")
         written.append(write_text(reports / "gallery.html", text))
-    pages = {name: html_page(content, _HOME) for name, content in tables.items()}
-    pages |= {name: study_page(study, _HOME) for name, study in studies.items()}
-    return [*written, *(write_text(reports / name / "index.html", text) for name, text in pages.items())]
+    texts = {name: html_page(content, _HOME) for name, content in tables.items()}
+    texts |= {name: sections_page(told, _HOME) for name, told in pages.items()}
+    return [*written, *(write_text(reports / name / "index.html", text) for name, text in texts.items())]
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -90,9 +90,9 @@ def _table(name: str, content: Content) -> str:
     )
 
 
-def _studies(titles: dict[str, str]) -> str:
+def _pages(titles: dict[str, str]) -> str:
     items = "".join(f"<li><a href='{escape(n)}/index.html'>{escape(t)}</a></li>" for n, t in titles.items())
-    return f"<h2>Studies</h2>\n<ul>{items}</ul>" if items else ""
+    return f"<h2>Measurements</h2>\n<ul>{items}</ul>" if items else ""
 
 
 def _others(folders: list[Path]) -> str:
@@ -106,7 +106,7 @@ def _others(folders: list[Path]) -> str:
             for name in names
             if name.endswith((".png", ".svg"))
         )
-        items.append(f"<section class='study'><h3>{escape(folder.name)}</h3>\n{images}\n<p>{files}</p></section>")
+        items.append(f"<section class='measured'><h3>{escape(folder.name)}</h3>\n{images}\n<p>{files}</p></section>")
     return "<h2>Figures and other reports</h2>\n" + "\n".join(items) if items else ""
 
 
