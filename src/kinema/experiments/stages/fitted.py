@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -16,9 +15,10 @@ from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
 
 if TYPE_CHECKING:  # and below where it is used: a finished run must not pay for Lightning
-    from kinema.training.callbacks import Samples
     from kinema.training.modules import StageModule
+    from kinema.training.observers import Observer
     from kinema.training.recipe import Recipe
+    from kinema.training.record import Record
 
 PACE = ("validate_every", "checkpoint_every", "val_batches")
 """Keys of a recipe that can't change the weights where the last ones are kept."""
@@ -77,8 +77,8 @@ class FittedStage(Stage):
         return MotionModule(model, recipe, cfg.seed)
 
     def callbacks(
-        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path
-    ) -> list[Samples]:
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], record: Record
+    ) -> list[Observer]:
         """Return what else happens while it trains."""
         return []
 

@@ -14,11 +14,13 @@ from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
 
 if TYPE_CHECKING:
-    from kinema.training.callbacks import Samples
     from kinema.training.modules import GeneratorModule
+    from kinema.training.observers import Observer
     from kinema.training.recipe import Recipe
+    from kinema.training.record import Record
 
 
 class GeneratorStage(ConditionedStage):
@@ -55,14 +57,16 @@ class GeneratorStage(ConditionedStage):
         return super().module(cfg, model, recipe, store, needs)
 
     def callbacks(
-        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path
-    ) -> list[Samples]:
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], record: Record
+    ) -> list[Observer]:
         """Draw sample motions every few steps, if asked for."""
         stage = self.tokenizer(cfg)
         if stage is None or not cfg.callbacks.samples_every:
             return []
-        from kinema.experiments.previews import sample_drawer
-        from kinema.training.callbacks import Samples
+        from kinema.experiments.previews import MotionSamples
+        from kinema.training.observers import Samples
 
-        draw = sample_drawer(cfg, store, read_model(needs[stage.name].path, stage.name), module.text.value)
-        return [Samples(samples, cfg.callbacks.samples_every, draw)]
+        tokenizer = read_model(needs[stage.name].path, stage.name)
+        beside = {k: run for k, run in upstream(record.folder).items() if k in module.model.parts and k not in needs}
+        draw = MotionSamples(cfg, store, record, tokenizer, module.text.value, beside)
+        return [Samples(cfg.callbacks.samples_every, record, draw)]
