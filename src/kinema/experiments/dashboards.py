@@ -9,7 +9,6 @@ from omegaconf import DictConfig
 
 from kinema.devices import global_rank
 from kinema.experiments.config import plain
-from kinema.runs.console import console
 from kinema.training.dashboards import About, Dashboard, check_names, dashboards, kinds
 
 MODES = ("offline", "online")

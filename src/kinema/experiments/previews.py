@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-
 import numpy as np
 import torch
 from omegaconf import DictConfig
@@ -15,31 +12,22 @@ from kinema.data.datasets import ClipDataset, Item
 from kinema.data.store import PackedStore
 from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.experiments.figures.code_usage import count
-from kinema.experiments.instantiate import read_model
+from kinema.experiments.watching import Watched
 from kinema.generators import Generator
 from kinema.motion.recovery import recover_joints
 from kinema.motion.view.html import page, save_html, viewer_fragment
 from kinema.motion.view.video import save_mp4
 from kinema.pipeline import TextToMotion
-from kinema.text.cache import CachedTextEncoder
 from kinema.tokenizers import MotionTokenizer
 from kinema.training.record import Record
 from kinema.types import Motion, MotionBatch
 
 
 class MotionSamples:
-    """Draw motions of a generator for a few validation captions; `beside` are the runs of the parts that complete it."""
+    """Draw motions of a generator for a few validation captions."""
 
-    def __init__(
-        self,
-        cfg: DictConfig,
-        store: PackedStore,
-        record: Record,
-        tokenizer: MotionTokenizer,
-        text: CachedTextEncoder,
-        beside: Mapping[str, Path],
-    ) -> None:
-        self.record, self.tokenizer, self.text, self.beside = record, tokenizer, text, beside
+    def __init__(self, cfg: DictConfig, store: PackedStore, record: Record, watched: Watched) -> None:
+        self.record, self.watched = record, watched
         self.seed, self.films = cfg.seed, cfg.callbacks.sample_films
         clips = ClipDataset(store, "val")
         size = min(cfg.callbacks.sample_prompts, len(clips))
@@ -51,9 +39,7 @@ class MotionSamples:
     def __call__(self, model: Generator, step: int) -> dict[str, float]:
         """Write a page of players, and films."""
         if self.pipeline is None:  # the model is the same object every time, only its weights are new
-            parts = {name: read_model(run, name) for name, run in self.beside.items()}
-            device = next(model.parameters()).device
-            self.pipeline = TextToMotion(self.tokenizer, model, self.text, parts).to(device)
+            self.pipeline = self.watched.pipeline(model)
         frames = [min(n, self.pipeline.max_frames) for n in self.frames]
         motions = self.pipeline.generate(self.texts, frames, seed=self.seed)
         save_html(motions, self.record.sample(step, ".html"), f"Step {step}")

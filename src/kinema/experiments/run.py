@@ -69,6 +69,8 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     companions = [other for other in companions_of(stage) if other.present(cfg)]
     needs = {other.name: _made(cfg, other, store, stage) for other in needs_of(stage) if other.present(cfg)}
     beside = {other.name: _made(cfg, other, store, stage) for other in companions}
+    for other in stage.watched_by(cfg):
+        _own(cfg, other, store, stage)
     if global_rank() > 0:
         return _follow(cfg, stage, store, folder, needs)
     with folder.lock():
@@ -81,7 +83,7 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
 
 def check(cfg: DictConfig, stage: Stage, store: PackedStore) -> None:
     """Raise ValueError if a stage, or one that will be made for it, doesn't fit, before any of them is made."""
-    for other in (*needs_of(stage), *companions_of(stage)):
+    for other in (*needs_of(stage), *companions_of(stage), *stage.watched_by(cfg)):
         if other.present(cfg) and given_run(cfg, other) is None and not stage_folder(cfg, other, store.hash).done:
             check(cfg, other, store)
     stage.check(cfg, store)
@@ -90,8 +92,11 @@ def check(cfg: DictConfig, stage: Stage, store: PackedStore) -> None:
 def _made(cfg: DictConfig, needed: Stage, store: PackedStore, user: Stage) -> RunFolder:
     """Return the run that a stage needs; make it, unless `ensure` forbids it."""
     given = given_run(cfg, needed)
-    if given is not None:
-        return given
+    return _own(cfg, needed, store, user) if given is None else given
+
+
+def _own(cfg: DictConfig, needed: Stage, store: PackedStore, user: Stage) -> RunFolder:
+    """Return the run that the configuration itself describes."""
     found = stage_folder(cfg, needed, store.hash)
     if not found.done and not cfg.ensure:
         raise FileNotFoundError(

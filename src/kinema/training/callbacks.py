@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
@@ -57,18 +57,23 @@ def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tenso
     return {k: v.detach().cpu().clone() for k, v in selected(trainer, module).state_dict().items()}
 
 
-class BestWeights(Callback):
-    """Keep the weights with the least validation loss; they are part of the checkpoint, so a resumed run has them."""
+class Selection(Callback):
+    """Keep the weights of the least value; they are part of the checkpoint, so a resumed run has them.
+
+    `keeps` is the recipe's `select` that asks for them.
+    """
+
+    keeps: ClassVar[str]
 
     def __init__(self) -> None:
+        super().__init__()
         self.value = float("inf")
         self.step = -1
         self.weights: dict[str, Tensor] = {}
 
-    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Compare the validation loss with the best one."""
-        value = float(trainer.callback_metrics.get("val/loss", float("nan")))
-        if not trainer.sanity_checking and value < self.value:
+    def consider(self, value: float, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Keep the weights if their value is less than the best one."""
+        if value < self.value:
             self.value, self.step = value, trainer.global_step
             self.weights = selected_state(trainer, pl_module)
 
@@ -79,6 +84,17 @@ class BestWeights(Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the selection."""
         self.value, self.step, self.weights = state_dict["value"], state_dict["step"], state_dict["weights"]
+
+
+class BestWeights(Selection):
+    """Keep the weights with the least validation loss."""
+
+    keeps = "best"
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Compare the validation loss with the best one."""
+        if not trainer.sanity_checking:
+            self.consider(float(trainer.callback_metrics.get("val/loss", float("nan"))), trainer, pl_module)
 
 
 class Checkpoints(Callback):

@@ -102,7 +102,8 @@ class StageModule(LightningModule):
 
         The learning rate and the norm before clipping are logged at the steps that are recorded.
         """
-        if (self.global_step + 1) % self.trainer.log_every_n_steps == 0:
+        every = self.trainer.log_every_n_steps  # type: ignore[attr-defined]  # set by its connector
+        if (self.global_step + 1) % every == 0:
             gradients = [p.grad for p in self.model.parameters() if p.grad is not None]
             norm = torch.nn.utils.get_total_norm(gradients)
             self.log_dict({"optim/lr": optimizer.param_groups[0]["lr"], "optim/grad_norm": norm})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import defaultdict
 
 from lightning.pytorch.profilers import Profiler
 
@@ -17,7 +17,7 @@ class Pace(Profiler):
 
     def __init__(self) -> None:
         super().__init__()
-        self.spent: Counter[str] = Counter()
+        self.spent: defaultdict[str, float] = defaultdict(float)
         self.begun: dict[str, float] = {}
         self.restart(0)
 

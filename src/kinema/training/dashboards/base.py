@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,10 +28,11 @@ class About:
     config: Mapping[str, Any] = field(default_factory=dict)
 
 
-class Dashboard(ABC):
+class Dashboard:
     """Show one run or report, below `logs/NAME` of its folder; a new one replaces what an earlier one left there.
 
-    What is shown is read from the run's own files, so that it can be shown again (after a resume, or later).
+    Subclasses show what they can; this one shows nothing. What is shown is read from the run's own files, so that it
+    can be shown again (after a resume, or later).
     `takes_results`: evaluations and tables are shown too, which have files of their own.
     """
 
@@ -56,7 +56,6 @@ class Dashboard(ABC):
         place = cls.place(folder)
         return str(place) if place.is_dir() else None
 
-    @abstractmethod
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Show numbers at a step."""
 

@@ -69,8 +69,8 @@ class Wandb(Dashboard):
 
     def table(self, name: str, markdown: str, rows: Sequence[Sequence[str]]) -> None:
         """Log the rows."""
-        columns, *data = [list(row) for row in rows]
-        self.run.log({name: self.wandb.Table(columns=columns, data=data)})
+        columns: list[str | int] = [*rows[0]]
+        self.run.log({name: self.wandb.Table(columns=columns, data=[list(row) for row in rows[1:]])})
 
     def artifact(self, files: Sequence[Path]) -> None:
         """Log the files as one model."""
