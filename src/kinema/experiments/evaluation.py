@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.dashboards import check_logger, show_results
 from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
@@ -104,6 +105,7 @@ def run_evaluation(cfg: DictConfig) -> Row:
     row = describe(cfg)
     if len(row.lines) == row.replications:
         console.print(f"cached    {row.folder.path}")
+        show_results(cfg, row.folder, anew=False)
         return row
     for stage in _unfinished(cfg, row):
         run_stage(cfg, stage.name, quiet=True)
@@ -112,11 +114,14 @@ def run_evaluation(cfg: DictConfig) -> Row:
         missing = [r for r in range(row.replications) if r not in done]
         if missing:
             _score(cfg, row, missing)
+        if len(row.lines) == row.replications:
+            show_results(cfg, row.folder, anew=bool(missing))
     return row
 
 
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
+    check_logger(cfg)
     _check_judges(cfg, row)
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)

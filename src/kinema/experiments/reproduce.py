@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from itertools import product
 from pathlib import Path
 
+from kinema.experiments.dashboards import show_table
+from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.studies import reproduce_study, studies
 from kinema.experiments.tables import TableRow, load_table, plan, render_table
@@ -67,14 +69,16 @@ def reproduce(
     failure: JobsFailedError | None = None
     if not render_only and any(row.cfg is not None and not row.complete for row in rows):
         try:
-            run_missing(rows, overrides, table.get("overrides", []), jobs)
+            run_missing(rows, overrides, [*table.get("overrides", []), f"logger.group={name}"], jobs)
         except JobsFailedError as error:
             failure = error
         rows = plan(table, shared)
         rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
     out = out or Path("reports") / name
-    for path in render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared])):
+    written = render_table(table, rows, out, shlex.join(["kinema", "reproduce", name, *shared]))
+    for path in written:
         console.print(f"wrote     {path}")
+    show_table(next(row.cfg for row in rows if row.cfg is not None), name, fingerprint([name, *shared]), written)
     lacking = [row.spec["label"] for row in rows if row.cfg is not None and not row.complete]
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")

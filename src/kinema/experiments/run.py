@@ -15,6 +15,7 @@ from kinema.data.store import PackedStore
 from kinema.devices import global_rank
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.dashboards import show_run
 from kinema.experiments.identity import fingerprint, stage_identity
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage, given_run
@@ -64,6 +65,7 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     if folder.done:
         if not quiet:
             console.print(f"cached    {folder.path}")
+            show_run(cfg, folder, name)
         return folder
     check(cfg, stage, store)
     companions = [other for other in companions_of(stage) if other.present(cfg)]

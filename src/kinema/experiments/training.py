@@ -14,7 +14,7 @@ from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.devices import find_device, global_rank
 from kinema.experiments.config import plain
-from kinema.experiments.dashboards import check_logger, shown
+from kinema.experiments.dashboards import check_logger, training_dashboards
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
@@ -61,7 +61,7 @@ def make_model(
         legacy_windows=recipe.legacy_windows,
         dims=stage.dims(cfg),
     )
-    with shown(cfg, folder.path, stage.name) as dashboards:
+    with training_dashboards(cfg, folder.path, stage.name) as dashboards:
         record = Record(folder.path, dashboards)
         callbacks = stage.callbacks(cfg, module, store, needs, record)
         fitted = fit(module, data, folder.path, machine, callbacks=callbacks, record=record)
