@@ -71,13 +71,14 @@ class Catalog:
         return len(self.clips)
 
 
-def read_joints_folder(path: str | Path) -> Catalog:
+def read_joints_folder(path: str | Path, split: str | None = None) -> Catalog:
     """Read `joints/NAME.npy` (T, J, 3), `texts/NAME.txt` and the split files: the layout of open-mocap.
 
     `texts/` may be absent (a corpus without captions). An optional `manifest.json`, a list of objects with a `name`,
-    gives every clip's fields. A clip `MNAME` beside `NAME` is taken for the mirror image of it.
+    gives every clip's fields; `split` names a folder in there with other split files. A clip `MNAME` beside `NAME` is
+    taken for the mirror image of it.
     """
-    return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"))
+    return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"), split)
 
 
 def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
@@ -102,10 +103,10 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
     return Catalog(catalog.clips, catalog.dropped, statistics)
 
 
-def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]]) -> Catalog:
+def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], split: str | None = None) -> Catalog:
     """Read every clip that a split file lists; `motions` names the folder of arrays and so the kind of motion."""
     kind = "joints" if motions == "joints" else "features"
-    listed = _read_splits(root, motions)
+    listed = _read_splits(root, motions, split)
     available = _stems(root / motions, ".npy")
     texts = _stems(root / "texts", ".txt") if (root / "texts").is_dir() else None
     clips, dropped = [], []
@@ -131,24 +132,25 @@ def load_array(file: str) -> np.ndarray:
         raise ValueError(f"{file} is cut off: {error}") from None
 
 
-def _read_splits(root: Path, motions: str) -> dict[str, str]:
+def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str, str]:
     """Map every listed name to its split, in split order. Raises FileNotFoundError for what the layout lacks."""
+    lists = root / split if split else root
     layout = f"{motions}/NAME.npy, texts/NAME.txt, train.txt, val.txt, test.txt (one NAME a line)"
     lacking = [motions] if not (root / motions).is_dir() else []
-    lacking += [f"{split}.txt" for split in SPLITS if not (root / f"{split}.txt").is_file()]
+    lacking += [str((lists / f"{s}.txt").relative_to(root)) for s in SPLITS if not (lists / f"{s}.txt").is_file()]
     if lacking:
         state = "does not exist" if not root.is_dir() else f"lacks {', '.join(lacking)}"
         raise FileNotFoundError(f"corpus folder {root} {state}; expected layout: {layout}")
     found: dict[str, str] = {}
-    for split in SPLITS:
-        lines = (root / f"{split}.txt").read_text(encoding="utf-8-sig").splitlines()
+    for part in SPLITS:
+        lines = (lists / f"{part}.txt").read_text(encoding="utf-8-sig").splitlines()
         for name in filter(None, map(str.strip, lines)):
             if name in found:
-                where = f"twice in {split}.txt" if found[name] == split else f"in {found[name]}.txt and {split}.txt"
-                raise ValueError(f"{root}: clip {name!r} is listed {where}; list it once")
-            found[name] = split
+                where = f"twice in {part}.txt" if found[name] == part else f"in {found[name]}.txt and {part}.txt"
+                raise ValueError(f"{lists}: clip {name!r} is listed {where}; list it once")
+            found[name] = part
     if not found:
-        raise ValueError(f"{root}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
+        raise ValueError(f"{lists}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
     return found
 
 

@@ -110,8 +110,9 @@ def validate(cfg: DictConfig) -> None:
         raise ValueError(f"lift={cfg.lift!r}; it must be true or false")
     if "source" in cfg and not (isinstance(cfg.perturb.level, int | float) and 0 <= cfg.perturb.level < math.inf):
         raise ValueError(f"perturb.level={cfg.perturb.level!r}; it must be a number of at least 0 (deviations)")
-    if not isinstance(cfg.seed, int) or cfg.seed < 0:
-        raise ValueError(f"seed={cfg.seed!r}; it must be an integer of at least 0")
+    for key, seed in (("seed", cfg.seed), ("evaluator.seed", cfg.evaluator.seed)):
+        if not isinstance(seed, int) or seed < 0:
+            raise ValueError(f"{key}={seed!r}; it must be an integer of at least 0")
 
 
 def check_options(cfg: DictConfig) -> None:

@@ -13,7 +13,7 @@ from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions
 from kinema.experiments.dashboards import check_logger, show_results
-from kinema.experiments.identity import fingerprint, run_identity
+from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
@@ -51,10 +51,10 @@ class Row:
 def describe(cfg: DictConfig) -> Row:
     """Find the folder of an evaluation without running anything."""
     validate(cfg)
-    corpus = PackedStore.open(open_corpus(cfg)).hash
+    corpus, corpus_of = PackedStore.open(open_corpus(cfg)).hash, corpora(cfg)
 
     def found(stage: Stage) -> Path:
-        return stage.given(cfg) or stage_folder(cfg, stage, corpus).path
+        return stage.given(cfg) or stage_folder(cfg, stage, corpus_of).path
 
     scored = [stage for stage in stages().values() if stage.scored(cfg)]
     companions = [other for stage in scored for other in companions_of(stage)]
@@ -73,7 +73,8 @@ def describe(cfg: DictConfig) -> Row:
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
-    return replace(row, folder=run_folder(cfg, "evaluation", label, fingerprint(identity)))
+    split = cfg.data.options.get("split")
+    return replace(row, folder=run_folder(cfg, "evaluation", label, split, cfg.seed, fingerprint(identity)))
 
 
 def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
@@ -133,7 +134,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
                 f"source {cfg.source} needs the {stage.name} run {row.runs[stage.name]}, which isn't finished; train "
                 f"it with `{command(cfg, stage)}` or set ensure=true"
             )
-        check(cfg, stage, store)
+        check(cfg, stage)
     return found
 
 

@@ -13,9 +13,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from rich.markup import escape
 
-from kinema.data.store import PackedStore
 from kinema.experiments.config import compose, refuse_processes
-from kinema.experiments.corpus import open_corpus
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage
@@ -71,7 +69,7 @@ def _add_stage(jobs: dict[Path, Job], cfg: DictConfig, stage: Stage, overrides: 
     """Add the jobs that make a stage's run and those behind and beside it; None if it is there or given."""
     if not stage.present(cfg) or stage.given(cfg) is not None:
         return None
-    run = stage_folder(cfg, stage, PackedStore.open(open_corpus(cfg)).hash)
+    run = stage_folder(cfg, stage)
     if run.done:
         return None
     if run.path not in jobs:

@@ -9,6 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import CONF, compose, plain
+from kinema.experiments.corpus import corpus_label
 from kinema.experiments.evaluation import Row, describe
 
 WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
@@ -104,7 +105,7 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     beside = filled.pop("beside", [])
     filled["panel"] = panel if published else None
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
-    filled["corpus"] = some.data.name
+    filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(lines, command)
     filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]

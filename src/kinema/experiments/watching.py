@@ -53,7 +53,7 @@ class ValidationScores:
     def __init__(self, cfg: DictConfig, store: PackedStore, watched: Watched) -> None:
         stage, numbers = MatchingStage(), cfg.scale.protocol
         self.store, self.watched = store, watched
-        self.judge = read_model(stage_folder(cfg, stage, store.hash).path, stage.name).attach(stage.vocabulary(cfg))
+        self.judge = read_model(stage_folder(cfg, stage).path, stage.name).attach(stage.vocabulary(cfg))
         ends_itself = cfg.method.lengths == "predicted" and cfg.generator.get("predicts_length")
         self.lengths = "predicted" if ends_itself else "real"
         clips = len(ClipDataset(store, SPLIT))

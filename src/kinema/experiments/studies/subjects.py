@@ -16,7 +16,6 @@ from kinema.devices import find_device
 from kinema.evaluation.sources import encode_captions
 from kinema.experiments import instantiate
 from kinema.experiments.config import compose, plain
-from kinema.experiments.corpus import open_corpus
 from kinema.experiments.jobs import missing_runs, processes, run_jobs
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import get_stage
@@ -47,7 +46,7 @@ def want(specs: list[dict[str, Any]], stage: str, overrides: list[str]) -> list[
     found = []
     for spec in specs:
         cfg = compose([f"stage={stage}", *overrides, *_own(spec)])
-        folder = stage_folder(cfg, get_stage(stage), PackedStore.open(open_corpus(cfg)).hash)
+        folder = stage_folder(cfg, get_stage(stage))
         found.append(Wanted(spec["key"], spec["label"], cfg, folder))
     return found
 
