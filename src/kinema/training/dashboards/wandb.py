@@ -40,13 +40,16 @@ class Wandb(Dashboard):
             reinit="create_new",
             settings=wandb.Settings(console="off", quiet=True),
         )
-        (self.folder / "where.txt").write_text(self.run.url or self.run.dir)
+        if self.run.url:
+            (self.folder / "url.txt").write_text(self.run.url)
 
     @classmethod
     def where(cls, folder: Path) -> str | None:
-        """Say the address, or the folder to be synced."""
-        said = cls.place(folder) / "where.txt"
-        return said.read_text() if said.is_file() else None
+        """Say the address, or the folder that `wandb sync` takes."""
+        address = cls.place(folder) / "url.txt"
+        if address.is_file():
+            return address.read_text()
+        return next((str(run) for run in sorted(cls.place(folder).glob("offline-run-*"))), None)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Log the numbers."""
