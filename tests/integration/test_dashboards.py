@@ -153,6 +153,7 @@ def test_a_tokenizer_of_codes_shows_reconstructions_and_the_use_of_its_codes(ove
         assert shown.num == sum(layer)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not films_here(), reason="films need matplotlib and imageio-ffmpeg")
 def test_films_are_logged_where_ffmpeg_is(overrides):
     own = ["callbacks.samples_every=12", "callbacks.sample_films=1"]
@@ -281,5 +282,5 @@ def test_more_codes_than_wandb_has_bins_are_put_together(tmp_path):
 
 
 def test_an_unknown_dashboard_is_named():
-    with pytest.raises(ValueError, match="logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"):
+    with pytest.raises(ValueError, match=r"logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"):
         kinds(["tensorbord"])
