@@ -27,7 +27,7 @@ ALLOWED = {
     "kinema.generators": {"residual", "retrieval", "generator"},
     "kinema.evaluation.metrics.retrieval": {"matching"},
     "kinema.experiments.evaluation": {"matching"},
-    "kinema.experiments.tables": {"matching"},
+    "kinema.experiments.breakdowns": {"matching"},
 }
 
 

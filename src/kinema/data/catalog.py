@@ -12,8 +12,12 @@ from typing import Any, Literal
 import numpy as np
 
 from kinema.data.captions import AnnotatedCaption, parse_line
+from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
 from kinema.motion.skeleton import get_skeleton
 from kinema.motion.statistics import Statistics
+
+VERSION = 2
+"""Raised when a reader gives other clips of the same source."""
 
 SPLITS = ("train", "val", "test")
 
@@ -24,7 +28,7 @@ class Clip:
 
     Exactly one of `joints` (-> (T, J, 3), Y up, in the skeleton's unit and frame rate) and `features` (-> (T, D) full
     width) is given; it must be picklable (a `functools.partial` of a module's function) to be loaded by processes.
-    `fields` holds what is known of the clip, e.g. source, label, licence.
+    `fields` holds what is known of the clip, e.g. source, label, licence; `origin` its take and frames there.
     """
 
     name: str
@@ -34,6 +38,7 @@ class Clip:
     joints: Callable[[], np.ndarray] | None = None
     features: Callable[[], np.ndarray] | None = None
     mirrored: bool = False
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -76,7 +81,7 @@ def read_joints_folder(path: str | Path, split: str | None = None) -> Catalog:
 
     `texts/` may be absent (a corpus without captions). An optional `manifest.json`, a list of objects with a `name`,
     gives every clip's fields; `split` names a folder in there with other split files. A clip `MNAME` beside `NAME` is
-    taken for the mirror image of it.
+    taken for the mirror image of it, `NAME_sK` for the K-th piece of a take, unless an `index.csv` says otherwise.
     """
     return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"), split)
 
@@ -85,7 +90,8 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
     """Read the folders of HumanML3D or KIT-ML: `new_joint_vecs/`, `texts/`, split files, `Mean.npy` and `Std.npy`.
 
     Mirrored clips are in there under `MNAME`, with their captions swapped already. The folder's own statistics are
-    used where present. Raises ValueError if they do not have the skeleton's full width.
+    used where present, and `index.csv`, there or beside it, for the takes that clips were cut from. Raises ValueError
+    if the statistics do not have the skeleton's full width.
     """
     root, width = Path(path), get_skeleton(skeleton).feature_width
     catalog = _read_folder(root, "new_joint_vecs", {})
@@ -106,7 +112,7 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
 def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], split: str | None = None) -> Catalog:
     """Read every clip that a split file lists; `motions` names the folder of arrays and so the kind of motion."""
     kind = "joints" if motions == "joints" else "features"
-    listed = _read_splits(root, motions, split)
+    listed, index = _read_splits(root, motions, split), read_index(root)
     available = _stems(root / motions, ".npy")
     texts = _stems(root / "texts", ".txt") if (root / "texts").is_dir() else None
     clips, dropped = [], []
@@ -120,7 +126,10 @@ def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], spl
         dropped += [Dropped(name, split, "caption", reason) for reason in unreadable]
         load = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
         mirrored = name.startswith("M") and name[1:] in listed
-        clips.append(Clip(name, split, captions, known.get(name, {}), mirrored=mirrored, **load))
+        base, fields = name[1:] if mirrored else name, known.get(name, {})
+        named = kind == "joints" and not any(fields.get(field) for field in SOURCE_FIELDS)
+        origin = index.get(base) or (named_origin(base) if named else None)
+        clips.append(Clip(name, split, captions, fields, mirrored=mirrored, origin=origin, **load))
     return Catalog(clips, dropped)
 
 

@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinema.experiments.studies.points import folder, score
-from kinema.experiments.studies.sections import Rows, Section, write_page
+from kinema.experiments.pages.points import score, some_config
+from kinema.experiments.pages.sections import Rows, Section, write_page
+from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow
 from kinema.report.intervals import measure
 
@@ -18,30 +19,23 @@ if TYPE_CHECKING:
 METRICS = {"fid": "FID", "r3": "R@3"}
 
 
-def carry_out(
-    study: dict[str, Any],
-    overrides: list[str],
-    *,
-    render_only: bool = False,
-    jobs: int | None = None,
-    out: Path | None = None,
-) -> list[Path]:
+def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Score the levels that are missing, and write the page; `render_only` writes what there is."""
-    rows, facts = score(study, list(points(study)), overrides, render_only=render_only, jobs=jobs)
+    rows, facts = score(page, list(points(page)), request)
     found = [results(row) for row in rows if row.lines]
-    inches = (4.5 * len(study["judges"]), 6.5)
+    inches = (4.5 * len(page["judges"]), 6.5)
     section = Section("levels", found, found, partial(_draw, rows=found), inches)
-    return write_page(study, [section], facts, out or folder(study, rows))
+    return write_page(page, [section], facts, request.folder(some_config(rows)))
 
 
-def points(study: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def points(page: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Return a row for every judge, kind of alteration and level; real motion is the level 0 of all."""
-    for judge in study["judges"]:
+    for judge in page["judges"]:
         chosen, panel = [f"evaluator={judge['evaluator']}"], {"judge": judge["label"]}
         key = judge["label"]
         yield {"key": f"real, {key}", "label": f"real, {key}", "source": "real", "overrides": chosen} | panel
-        for how, levels in study["levels"].items():
-            for dims in study["dims"]:
+        for how, levels in page["levels"].items():
+            for dims in page["dims"]:
                 for level in levels:
                     spec = {"dims": dims, "how": how, "level": level, "space": judge["space"]}
                     own = [f"perturb.{name}={value}" for name, value in spec.items()]

@@ -6,9 +6,9 @@ import json
 
 import pytest
 
+from kinema.experiments.pages import load_page
+from kinema.experiments.pages.subjects import want
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.studies import load_study
-from kinema.experiments.studies.subjects import want
 from kinema.experiments.tables import load_table, plan
 
 
@@ -26,6 +26,6 @@ def test_it_counts_the_codes_of_every_tokenizer_once(micro, tmp_path, capsys):
 
 
 def test_its_runs_are_those_of_table_1(micro):
-    own = {one.run.path for one in want(load_study("figure2")["tokenizers"], "tokenizer", micro)}
+    own = {one.run.path for one in want(load_page("figure2")["tokenizers"], "tokenizer", micro)}
     rows = plan(load_table("table1"), micro)
     assert own == {row.place.subject["tokenizer"] for row in rows if row.cfg.source == "reconstruction"}

@@ -1,4 +1,4 @@
-"""The study of noise: the essential evaluator can't mind what it doesn't read, and levels are scored once."""
+"""The page of noise: the essential evaluator can't mind what it doesn't read, and levels are scored once."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import csv
 
 import pytest
 
-from kinema.experiments import studies
+from kinema.experiments import pages
 from kinema.experiments.config import compose, validate
 from kinema.experiments.evaluation import describe
+from kinema.experiments.pages import load_page
+from kinema.experiments.pages.noise import points
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.studies import load_study
-from kinema.experiments.studies.noise import points
 from kinema.experiments.tables import plan
 
 
 def test_levels_are_scored_once_and_an_evaluator_minds_only_what_it_reads(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
-    small = load_study("noise")
+    small = load_page("noise")
     small["levels"] = {"add": [0.1, 2.0], "replace": [1.0]}
-    monkeypatch.setattr(studies, "load_study", lambda name: small)
+    monkeypatch.setattr(pages, "load_page", lambda name: small)
     for _ in range(2):
         reproduce("noise", micro, jobs=1, out=tmp_path / "page")
         told = capsys.readouterr().out
@@ -39,7 +39,7 @@ def test_levels_are_scored_once_and_an_evaluator_minds_only_what_it_reads(micro,
 
 
 def test_every_point_is_an_evaluation_of_its_own(micro):
-    rows = plan({"rows": list(points(load_study("noise")))}, micro)
+    rows = plan({"rows": list(points(load_page("noise")))}, micro)
     assert len({row.place.folder.path for row in rows}) == len(rows) - 1  # one judge is heard by two measures
 
 

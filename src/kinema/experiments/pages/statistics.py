@@ -15,9 +15,9 @@ from kinema.diffusion.ddpm import DDPM
 from kinema.evaluation.diagnosis.deviations import own_deviations, phi
 from kinema.evaluation.diagnosis.groups import by_group, column_groups
 from kinema.evaluation.diagnosis.marginals import marginals
-from kinema.experiments.studies.charts import bars
-from kinema.experiments.studies.sections import Rows, Section, pivot
-from kinema.experiments.studies.subjects import Subject
+from kinema.experiments.pages.charts import bars
+from kinema.experiments.pages.sections import Rows, Section, pivot
+from kinema.experiments.pages.subjects import Subject
 from kinema.runs.build import build
 
 if TYPE_CHECKING:
@@ -42,10 +42,10 @@ def normalised(store: PackedStore, count: int) -> dict[str, Tensor]:
     return {name: torch.from_numpy((centred / divisor).astype(np.float32)) for name, divisor in divisors.items()}
 
 
-def distributions(study: dict[str, Any], store: PackedStore, subjects: list[Subject]) -> Section:
+def distributions(page: dict[str, Any], store: PackedStore, subjects: list[Subject]) -> Section:
     """Measure the marginals of the data and of what the forward process makes of them."""
     data: dict[str, tuple[dict[str, slice], Tensor]] = {
-        name: (store.skeleton.groups, values) for name, values in normalised(store, study["frames"]).items()
+        name: (store.skeleton.groups, values) for name, values in normalised(store, page["frames"]).items()
     }
     for subject in subjects:
         if subject.model.generator.space.kind == "continuous":
@@ -54,14 +54,14 @@ def distributions(study: dict[str, Any], store: PackedStore, subjects: list[Subj
             data[REFORMED] = (column_groups(None, values.shape[1]), values)
             break
     draw = torch.Generator().manual_seed(0)
-    rows = _rows(NORMAL, "", "", {"columns": slice(0, 16)}, torch.randn(study["frames"], 16, generator=draw))
+    rows = _rows(NORMAL, "", "", {"columns": slice(0, 16)}, torch.randn(page["frames"], 16, generator=draw))
     if REFORMED in data:  # fewer rows than frames: a normal sample of that size is farther from N(0, 1)
         groups, values = data[REFORMED]
         rows += _rows(NORMAL, "", "", groups, torch.randn(values.shape, generator=draw))
     for name, (groups, values) in data.items():
         rows += _rows(name, "", "clean", groups, values)
         noise = torch.randn(values.shape, generator=draw)
-        for label, spec in study["processes"].items():
+        for label, spec in page["processes"].items():
             process: DDPM = build(spec)
             last = len(process.schedule.betas) - 1
             for when, time in (("x_T", last), ("half", last // 2)):

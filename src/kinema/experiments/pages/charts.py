@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from kinema.experiments.studies.sections import Rows
+from kinema.experiments.pages.sections import Rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

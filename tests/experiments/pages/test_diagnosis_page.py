@@ -6,10 +6,10 @@ import csv
 
 import pytest
 
-from kinema.experiments import studies
+from kinema.experiments import pages
+from kinema.experiments.pages import load_page
+from kinema.experiments.pages.sections import csv_text, markdown, pivot
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.studies import load_study
-from kinema.experiments.studies.sections import csv_text, markdown, pivot
 
 PARTS = ("x_t", "phi", "amplification", "denoising", "directions", "samples", "jitter", "reconstruction")
 SMALL = {"motions": 6, "frames": 400, "timesteps": 3}
@@ -18,9 +18,9 @@ SMALL = {"motions": 6, "frames": 400, "timesteps": 3}
 @pytest.fixture
 def small(monkeypatch):
     """Measure a few motions."""
-    whole = load_study("diagnosis")
+    whole = load_page("diagnosis")
     processes = {"cosine 50": whole["processes"]["cosine 50"]}
-    monkeypatch.setattr(studies, "load_study", lambda name: {**whole, **SMALL, "processes": processes})
+    monkeypatch.setattr(pages, "load_page", lambda name: {**whole, **SMALL, "processes": processes})
     return whole
 
 

@@ -18,9 +18,9 @@ from kinema.evaluation.diagnosis.directions import bands, noise_found, principal
 from kinema.evaluation.diagnosis.groups import by_group, column_groups, shares
 from kinema.evaluation.diagnosis.marginals import wasserstein
 from kinema.evaluation.diagnosis.probes import Probe, probe
-from kinema.experiments.studies.charts import bars, lines
-from kinema.experiments.studies.sections import Rows, Section, pivot
-from kinema.experiments.studies.subjects import Subject
+from kinema.experiments.pages.charts import bars, lines
+from kinema.experiments.pages.sections import Rows, Section, pivot
+from kinema.experiments.pages.subjects import Subject
 from kinema.motion import physics
 from kinema.motion.recovery import recover_joints
 from kinema.tokenizers import MotionTokenizer
@@ -33,7 +33,7 @@ FOLLOWED = 16
 """Motions whose samples are drawn again with an error in one output."""
 
 
-def amplification(study: dict[str, Any], subjects: list[Subject]) -> Section:
+def amplification(page: dict[str, Any], subjects: list[Subject]) -> Section:
     """Hold the formulas against samples drawn with and without an error."""
     rows: Rows = []
     for subject in subjects:
@@ -46,23 +46,23 @@ def amplification(study: dict[str, Any], subjects: list[Subject]) -> Section:
             "answered": formulas.in_sample(process, 1.0),
         }
         base = process.sample(laid_open.predict, _noise(clean, 1), solver="ancestral")
-        wrong = study["error"] * next(_noise(clean, 2))
-        for at in timesteps(study, laid_open):
+        wrong = page["error"] * next(_noise(clean, 2))
+        for at in timesteps(page, laid_open):
             other = formulas.moved(process, laid_open.predict, _noise(clean, 1), at, wrong)
-            measured = _root(laid_open.columns(other - base)) / study["error"]
+            measured = _root(laid_open.columns(other - base)) / page["error"]
             row = {"run": subject.label, "predicts": process.prediction, "timestep": at}
             rows.append(row | {name: values[at].item() for name, values in table.items()} | {"measured": measured})
     draw = partial(_panels, rows=rows, ys=("in clean", "in sample", "answered", "measured"))
     return Section("amplification", rows, rows, draw, (11, 3.6))
 
 
-def denoising(study: dict[str, Any], subjects: list[Subject]) -> Section:
+def denoising(page: dict[str, Any], subjects: list[Subject]) -> Section:
     """Measure the networks' own errors by timestep and group."""
     rows: Rows = []
     for subject in subjects:
         laid_open = _probe(subject)
         noise, groups = next(_noise(laid_open.clean, 3)), _groups(subject, laid_open)
-        for at in timesteps(study, laid_open):
+        for at in timesteps(page, laid_open):
             found = formulas.step_errors(laid_open.process, laid_open.predict, laid_open.clean, at, noise)
             columns = [laid_open.columns(error) for error in found]
             for group, part in groups.items():
@@ -75,7 +75,7 @@ def denoising(study: dict[str, Any], subjects: list[Subject]) -> Section:
     return Section("denoising", rows, shown, draw, (11, 3.6))
 
 
-def directions(study: dict[str, Any], subjects: list[Subject]) -> Section:
+def directions(page: dict[str, Any], subjects: list[Subject]) -> Section:
     """Measure how much of the noise the networks find, by timestep and the principal directions of the clean rows."""
     rows: Rows = []
     for subject in subjects:
@@ -83,7 +83,7 @@ def directions(study: dict[str, Any], subjects: list[Subject]) -> Section:
         process, noise = laid_open.process, next(_noise(laid_open.clean, 4))
         clean = laid_open.columns(laid_open.clean)
         variances, axes = principal(clean)
-        for at in timesteps(study, laid_open):
+        for at in timesteps(page, laid_open):
             _, error = formulas.step_errors(process, laid_open.predict, laid_open.clean, at, noise)
             implied = -error * process.signal[at] / process.noise[at]  # given x, clean motion implies the noise
             found = noise_found(laid_open.columns(noise), laid_open.columns(implied), axes)
@@ -165,10 +165,10 @@ def reconstruction(tokenizers: list[tuple[str, MotionTokenizer]], real: MotionBa
     return Section("reconstruction", rows, rows, draw)
 
 
-def timesteps(study: dict[str, Any], laid_open: Probe) -> list[int]:
-    """Spread the study's number of timesteps over the schedule, both ends included."""
+def timesteps(page: dict[str, Any], laid_open: Probe) -> list[int]:
+    """Spread the page's number of timesteps over the schedule, both ends included."""
     last = len(laid_open.process.schedule.betas) - 1
-    return sorted({round(t) for t in np.linspace(0, last, study["timesteps"]).tolist()} | {max(0, last - 1)})
+    return sorted({round(t) for t in np.linspace(0, last, page["timesteps"]).tolist()} | {max(0, last - 1)})
 
 
 def _probe(subject: Subject, count: int | None = None) -> Probe:

@@ -1,4 +1,4 @@
-"""Write what a study measured: each part a CSV and a plot, all parts on one page."""
+"""Write what a page measured: each part a CSV and a plot, all parts on one page."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Section:
     inches: tuple[float, float] = field(default=(9.0, 4.0))
 
 
-def write_page(study: dict[str, Any], sections: list[Section], provenance: dict[str, Any], out: Path) -> list[Path]:
+def write_page(page: dict[str, Any], sections: list[Section], provenance: dict[str, Any], out: Path) -> list[Path]:
     """Write NAME.csv and, where matplotlib is installed, NAME.png of each section, and README.md.
 
-    `study` holds the page's `title` and `lead`, and title and text of every section by its name.
+    `page` holds the page's `title` and `lead`, and title and text of every section by its name.
     """
-    written, blocks = [], [f"# {study['title']}", study["lead"].strip()]
+    written, blocks = [], [f"# {page['title']}", page["lead"].strip()]
     for section in sections:
-        about = study["sections"][section.name]
+        about = page["sections"][section.name]
         written.append(write_text(out / f"{section.name}.csv", csv_text(section.rows)))
         blocks += [f"## {about['title']}", about["text"].strip()]
         try:

@@ -1,4 +1,4 @@
-"""Find or make the runs that a study reads, and load them with the motions that it looks at."""
+"""Find or make the runs that a page reads, and load them with the motions that it looks at."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ POOL = 32
 
 @dataclass(frozen=True)
 class Wanted:
-    """Name a run: what the study calls it, its configuration and its folder, finished or not."""
+    """Name a run: what the page calls it, its configuration and its folder, finished or not."""
 
     key: str
     label: str

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import shlex
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,74 +16,59 @@ from kinema.devices import find_device
 from kinema.evaluation.latency import PARTS, Latency, measure_latency
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus
-from kinema.experiments.instantiate import read_model, text_encoder
-from kinema.experiments.run import run_stage
-from kinema.experiments.stages import get_stage
-from kinema.experiments.stages.fitted import FittedStage
-from kinema.experiments.stages.generator import GeneratorStage
-from kinema.experiments.stages.tokenizer import TokenizerStage
-from kinema.experiments.studies.sections import Rows, Section, write_page
-from kinema.experiments.studies.subjects import read_motions
-from kinema.experiments.training import initial_model
-from kinema.pipeline import TextToMotion
+from kinema.experiments.pages.sections import Rows, Section, write_page
+from kinema.experiments.pages.subjects import read_motions
+from kinema.experiments.pages.untrained import untrained
+from kinema.experiments.request import Request
 from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.versions import versions
-from kinema.tokenizers import MotionTokenizer
 from kinema.training.fit import Machine
-from kinema.types import Latents, MotionBatch
+from kinema.types import MotionBatch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def carry_out(
-    study: dict[str, Any],
-    overrides: list[str],
-    *,
-    render_only: bool = False,
-    jobs: int | None = None,
-    out: Path | None = None,
-) -> list[Path]:
-    """Time every method, one after the other in this process (`jobs` would share the machine), and write the page.
+def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
+    """Time every method, one after the other in this process (jobs would share the machine), and write the page.
 
     Raises ValueError for `render_only`: times are of this machine now, and none are kept.
     """
-    if render_only:
+    if request.render_only:
         raise ValueError("tablea3 measures anew at every call and keeps nothing to render; leave --render-only out")
-    shared = [o for o in overrides if not o.startswith("launcher=")]
+    shared = request.shared
     rows: Rows = []
     cfg = compose(shared, "evaluate")
     Machine(**plain(cfg.trainer)).limit_threads()
     store = PackedStore.open(open_corpus(cfg))
-    asked = read_motions(store, "test", study["motions"])
-    for spec in study["methods"]:
+    asked = read_motions(store, "test", page["motions"])
+    for spec in page["methods"]:
         own = compose([*shared, f"method={spec['method']}", *spec.get("overrides", [])], "evaluate")
-        timed = time_method(spec, own, store, asked, study)
+        timed = time_method(spec, own, store, asked, page)
         told = ", ".join(f"batch {row['batch']} {row['s / motion']:.3g} s a motion" for row in timed)
         console.print(f"timed     {spec['label']}: {told}")
         rows += [{**row, "paper (s)": spec.get("paper") if row["batch"] == 1 else None} for row in timed]
     shown = [{key: value for key, value in row.items() if key != "key"} for row in rows]
-    inches = (8.0, 0.35 * len(study["methods"]) + 1.5)
+    inches = (8.0, 0.35 * len(page["methods"]) + 1.5)
     section = Section("times", rows, shown, partial(_draw, rows=rows), inches)
-    facts = {"command": shlex.join(["kinema", "reproduce", study["name"], *shared]), **machine(cfg)}
-    out = out or Path("reports") / f"{study['name']}-{cfg.data.name}-{cfg.scale.name}"
-    return write_page(study, [section], facts, out)
+    facts = {"command": request.command, **machine(cfg)}
+    return write_page(page, [section], facts, request.folder(cfg))
 
 
 def time_method(
-    spec: dict[str, Any], cfg: DictConfig, store: PackedStore, asked: MotionBatch, study: dict[str, Any]
+    spec: dict[str, Any], cfg: DictConfig, store: PackedStore, asked: MotionBatch, page: dict[str, Any]
 ) -> Rows:
     """Return a row for each batch size."""
     model, sampling = untrained(cfg, store, asked), build(plain(cfg.generator.sampling))
     lengths = asked.lengths.clamp(max=model.max_frames).tolist()
     found = []
-    for size in study["batches"]:
+    for size in page["batches"]:
         if len(lengths) < size:
             console.print(f"[yellow]note[/]      no batch of {size}: the test split has {len(lengths)} motions")
             continue
         timed = measure_latency(
-            model, asked.texts, lengths, batch=size, warmup=study["warmup"], sampling=sampling, seed=cfg.seed
+            model, asked.texts, lengths, batch=size, warmup=page["warmup"], sampling=sampling, seed=cfg.seed
         )
         parameters = sum(p.numel() for p in model.generator.parameters())
         row = {"key": spec["key"], "method": spec["label"], "batch": size}
@@ -101,46 +84,6 @@ def summary(timed: list[Latency]) -> dict[str, Any]:
     calls = [sum(latency.calls.values()) for latency in timed if latency.calls]
     row["network calls"] = sum(calls) / len(calls) if calls else None
     return row | {"motions": motions}
-
-
-def untrained(cfg: DictConfig, store: PackedStore, motions: MotionBatch) -> TextToMotion:
-    """Build a method as training would begin with it: what it takes does not depend on its weights, but on lengths.
-
-    What it keeps of its training latents (their range) it keeps of those of `motions`.
-    """
-    tokenizer, generator = (_part(stage.name, cfg, store) for stage in (TokenizerStage, GeneratorStage))
-    tokenizer.eval()
-    generator.prepare(tokenizer, EncodedMotions(tokenizer, motions))
-    parts = {name: _part(name, cfg, store) for name in generator.parts if get_stage(name).present(cfg)}
-    device = find_device(cfg.trainer.accelerator)
-    return TextToMotion(tokenizer, generator, text_encoder(cfg, device), parts).to(device)
-
-
-@dataclass(frozen=True)
-class EncodedMotions:
-    """Be the latents of some motions where a model asks for those of its training."""
-
-    tokenizer: MotionTokenizer
-    motions: MotionBatch
-
-    def __call__(
-        self, batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
-    ) -> Latents:
-        """Encode a batch."""
-        return self.tokenizer.encode(batch)
-
-    @torch.no_grad()
-    def range(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return minimum and maximum of each channel."""
-        latents = self(self.motions)
-        return latents.content[latents.mask].aminmax(dim=0)
-
-
-def _part(name: str, cfg: DictConfig, store: PackedStore) -> Any:
-    stage = get_stage(name)
-    if isinstance(stage, FittedStage):
-        return initial_model(stage, cfg, store)[0]
-    return read_model(run_stage(cfg, name, quiet=True).path, name)  # a database, which is built and not trained
 
 
 def machine(cfg: DictConfig) -> dict[str, Any]:

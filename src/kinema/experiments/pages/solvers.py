@@ -7,8 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from kinema.experiments.studies.points import folder, score
-from kinema.experiments.studies.sections import Rows, Section, write_page
+from kinema.experiments.pages.points import score, some_config
+from kinema.experiments.pages.sections import Rows, Section, write_page
+from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow
 from kinema.report.intervals import measure
 
@@ -21,32 +22,25 @@ COUNTS = {"denoiser_rows": "rows", "denoiser_calls": "calls", "transformer_rows"
 SHOWN = ("method", "solver", "steps", "rows", "calls", "transformer rows", "fid", "fid ±", "r3", "r3 ±", "n", "fast")
 
 
-def carry_out(
-    study: dict[str, Any],
-    overrides: list[str],
-    *,
-    render_only: bool = False,
-    jobs: int | None = None,
-    out: Path | None = None,
-) -> list[Path]:
+def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Score the points that are missing, and write the page; `render_only` writes what there is."""
-    rows, facts = score(study, list(points(study)), overrides, render_only=render_only, jobs=jobs)
+    rows, facts = score(page, list(points(page)), request)
     found = [results(row) for row in rows if row.lines]
-    for method in study["methods"]:
+    for method in page["methods"]:
         mark_fast([row for row in found if row["method"] == method["label"]])
     shown = [{key: row.get(key) for key in SHOWN} for row in found]
-    section = Section("solvers", found, shown, partial(_draw, rows=found), (4 * len(study["methods"]) + 1, 6.5))
+    section = Section("solvers", found, shown, partial(_draw, rows=found), (4 * len(page["methods"]) + 1, 6.5))
     facts.pop("sampling", None)  # the points say it
-    return write_page(study, [section], facts, out or folder(study, rows))
+    return write_page(page, [section], facts, request.folder(some_config(rows)))
 
 
-def points(study: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def points(page: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Return a table's row for real motion, and for every method with its default, each solver and number of steps."""
     yield {"key": "real", "label": "Real motion", "of": "Real motion", "source": "real"}
-    for spec in study["methods"]:
+    for spec in page["methods"]:
         own = spec.get("overrides", [])
         choices = [(DEFAULT, None)]
-        choices += [(s, n) for s, counts in study["solvers"][spec["solvers"]].items() for n in counts]
+        choices += [(s, n) for s, counts in page["solvers"][spec["solvers"]].items() for n in counts]
         for solver, steps in choices:
             count = "null" if steps is None else steps
             chosen = [f"generator.sampling.solver={solver}", f"generator.sampling.solver_steps={count}"]

@@ -1,4 +1,4 @@
-"""The study of inference time: every method is timed untrained, part by part, and what is counted is right."""
+"""The page of inference time: every method is timed untrained, part by part, and what is counted is right."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ import torch
 
 from kinema.data.store import PackedStore
 from kinema.evaluation.latency import PARTS, Latency, measure_latency
-from kinema.experiments import studies
+from kinema.experiments import pages
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.pages import load_page
+from kinema.experiments.pages.subjects import read_motions
+from kinema.experiments.pages.tablea3 import summary
+from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.studies import load_study
-from kinema.experiments.studies.subjects import read_motions
-from kinema.experiments.studies.tablea3 import summary, untrained
 
 ALONE = {"mdm_epsilon", "mardm_frames", "mardm_parallel"}
 """Ablations: as fast as what they are of."""
 
 
 def test_every_method_has_a_row():
-    named = {spec["method"] for spec in load_study("tablea3")["methods"]}
+    named = {spec["method"] for spec in load_page("tablea3")["methods"]}
     assert named == {file.stem for file in (CONF / "method").glob("*.yaml")} - ALONE
 
 
 def test_methods_are_timed_without_training_and_written(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
-    small = load_study("tablea3") | {"motions": 5, "batches": [1, 2, 64], "warmup": 1}
+    small = load_page("tablea3") | {"motions": 5, "batches": [1, 2, 64], "warmup": 1}
     small["methods"] = [spec for spec in small["methods"] if spec["key"] in ("mardm_sit", "momask", "t2m_gpt")]
-    monkeypatch.setattr(studies, "load_study", lambda name: small)
+    monkeypatch.setattr(pages, "load_page", lambda name: small)
     reproduce("tablea3", micro, jobs=1, out=tmp_path / "page")
     told = capsys.readouterr().out
     assert "train " not in told

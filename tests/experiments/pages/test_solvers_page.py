@@ -1,4 +1,4 @@
-"""The study of solvers: every point is a cached evaluation on val, its network rows are those that the formulas say."""
+"""The page of solvers: every point is a cached evaluation on val, its network rows are those that the formulas say."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import torch
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.evaluation.counting import NetworkCounter
-from kinema.experiments import studies
+from kinema.experiments import pages
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import describe
+from kinema.experiments.pages import load_page
+from kinema.experiments.pages.solvers import mark_fast, points
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.studies import load_study
-from kinema.experiments.studies.solvers import mark_fast, points
-from kinema.experiments.tables import load_table, plan, trained_by
+from kinema.experiments.tables import load_table, plan
 from kinema.generators.mar import MARDM, MarSampling
 from kinema.generators.mdm import MDM, FrameSampling
 from kinema.types import TextFeatures
@@ -87,23 +87,23 @@ def test_the_fast_point_is_the_cheapest_within_the_interval_of_the_best_of_whole
 
 
 def test_every_point_is_scored_on_val_by_the_methods_own_run(micro_tables):
-    study = load_study("solvers")
-    rows = plan({"rows": list(points(study)), "overrides": study["overrides"]}, micro_tables)
+    page = load_page("solvers")
+    rows = plan({"rows": list(points(page)), "overrides": page["overrides"]}, micro_tables)
     assert {row.cfg.scale.protocol.split for row in rows} == {"val"}
     places = [row.place.folder.path for row in rows]
-    assert len(set(places)) >= len(rows) - len(study["methods"])  # a default may be one of the other points
-    for spec in study["methods"]:
+    assert len(set(places)) >= len(rows) - len(page["methods"])  # a default may be one of the other points
+    for spec in page["methods"]:
         own = [row for row in rows if row.spec.get("method") == spec["method"]]
         assert len({row.place.subject["generator"] for row in own}) == 1
-        assert not any(trained_by(row) for row in own)
+        assert {tuple(row.trained) for row in own} == {(f"method={spec['method']}",)}
 
 
 def test_points_are_scored_once_and_drawn(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
-    small = load_study("solvers")
+    small = load_page("solvers")
     small["methods"] = [spec for spec in small["methods"] if spec["key"] == "mardm_sit"]
     small["solvers"] = {"flow": {"euler": [2, 1], "heun": [1]}}
-    monkeypatch.setattr(studies, "load_study", lambda name: small)
+    monkeypatch.setattr(pages, "load_page", lambda name: small)
     for _ in range(2):
         reproduce("solvers", micro, jobs=1, out=tmp_path / "page")
         told = capsys.readouterr().out
@@ -144,7 +144,7 @@ def test_a_table_can_show_both(micro):
     published, fast = plan(table, micro)
     assert published.place.folder.path != fast.place.folder.path
     assert published.place.subject == fast.place.subject
-    assert trained_by(fast) == []
+    assert fast.trained == ["method=mardm_sit"]
 
 
 def test_a_method_without_a_fast_sampler_says_so(micro):

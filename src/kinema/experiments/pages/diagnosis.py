@@ -2,51 +2,47 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Any
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.pages import errors, statistics
+from kinema.experiments.pages.sections import write_page
+from kinema.experiments.pages.subjects import finished, load, load_tokenizer, make, read_motions, want
+from kinema.experiments.request import Request
 from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
-from kinema.experiments.studies import errors, statistics
-from kinema.experiments.studies.sections import write_page
-from kinema.experiments.studies.subjects import finished, load, load_tokenizer, make, read_motions, want
 from kinema.runs.console import console
 from kinema.runs.versions import versions
 from kinema.training.fit import Machine
 
 
-def carry_out(
-    study: dict[str, Any],
-    overrides: list[str],
-    *,
-    render_only: bool = False,
-    jobs: int | None = None,
-    out: Path | None = None,
-) -> list[Path]:
+def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Make the missing runs, measure, and write the page; `render_only` measures the runs that are there."""
-    overrides = _on_this_machine(overrides)
+    _require_this_machine(request)
+    overrides = request.shared
     cfg = compose(overrides)
     Machine(**plain(cfg.trainer)).limit_threads()
-    store, split = PackedStore.open(open_corpus(cfg)), study["split"]
+    store, split = PackedStore.open(open_corpus(cfg)), page["split"]
     require_captions(store, split)
-    if not render_only:
-        make({TokenizerStage.name: study["tokenizers"], GeneratorStage.name: study["generators"]}, overrides, jobs)
-    real = read_motions(store, split, study["motions"])
-    generators = finished(want(study["generators"], GeneratorStage.name, overrides))
-    tokenizers = finished(want(study["tokenizers"], TokenizerStage.name, overrides))
+    if not request.render_only:
+        make(
+            {TokenizerStage.name: page["tokenizers"], GeneratorStage.name: page["generators"]}, overrides, request.jobs
+        )
+    real = read_motions(store, split, page["motions"])
+    generators = finished(want(page["generators"], GeneratorStage.name, overrides))
+    tokenizers = finished(want(page["tokenizers"], TokenizerStage.name, overrides))
     subjects = [load(one, real, store, split) for one in generators]
     console.print(f"measure   {len(subjects)} generators, {len(tokenizers)} tokenizers, {len(real.lengths)} motions")
-    sections = [statistics.distributions(study, store, subjects), statistics.deviations(store)]
+    sections = [statistics.distributions(page, store, subjects), statistics.deviations(store)]
     if subjects:
         made = [subject.generate() for subject in subjects]
         sections += [
-            errors.amplification(study, subjects),
-            errors.denoising(study, subjects),
-            errors.directions(study, subjects),
+            errors.amplification(page, subjects),
+            errors.denoising(page, subjects),
+            errors.directions(page, subjects),
             errors.samples(store, subjects, made),
             errors.jitter(store, subjects, made),
         ]
@@ -54,20 +50,17 @@ def carry_out(
         labelled = [(one.label, load_tokenizer(one)) for one in tokenizers]
         sections.append(errors.reconstruction(labelled, real))
     provenance = {
-        "command": shlex.join(["kinema", "reproduce", study["name"], *overrides]),
+        "command": request.command,
         "corpus": {"name": store.name, "hash": store.hash, "split": split, "motions": len(real.lengths)},
         "runs": {one.label: one.run.path.name for one in (*generators, *tokenizers)},
         "sampling": {subject.label: subject.sampling for subject in subjects},
         "versions": versions(),
     }
-    out = out or Path("reports") / f"{study['name']}-{cfg.data.name}-{cfg.scale.name}"
-    return write_page(study, sections, provenance, out)
+    return write_page(page, sections, provenance, request.folder(cfg))
 
 
-def _on_this_machine(overrides: list[str]) -> list[str]:
-    launchers = [o for o in overrides if o.startswith("launcher=")]
-    if set(launchers) - {"launcher=none"}:
+def _require_this_machine(request: Request) -> None:
+    if request.launcher:
         raise ValueError(
-            f"{launchers[-1]}: the diagnosis runs on this machine; train its runs with kinema train -m ..."
+            f"{request.launcher[0]}: the diagnosis runs on this machine; train its runs with kinema train -m ..."
         )
-    return [o for o in overrides if o not in launchers]
