@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from kinema.experiments.dashboards import show_table
+from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.multirun import run_multiruns
 from kinema.experiments.pages import make_page, pages
@@ -82,13 +84,16 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     failure: JobsFailedError | None = None
     if not request.render_only and any(row.cfg is not None and not row.complete for row in rows):
         try:
-            run_missing(rows, table.get("overrides", []), request)
+            run_missing(rows, [*table.get("overrides", []), f"logger.group={request.name}"], request)
         except JobsFailedError as error:
             failure = error
         rows = plan(table, request.shared, request.seeds)
         rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
-    for path in render_table(table, rows, request.folder(), request.command):
+    written = render_table(table, rows, request.folder(), request.command)
+    for path in written:
         console.print(f"wrote     {path}")
+    some = next(row.cfg for row in rows if row.cfg is not None)
+    show_table(some, request.name, fingerprint(request.command), written)
     lacking = [row.label for row in rows if row.cfg is not None and not row.complete]
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
