@@ -61,6 +61,11 @@ def load_table(name: str) -> dict[str, Any]:
     return plain(OmegaConf.load(path))
 
 
+def benchmark_columns() -> list[dict[str, Any]]:
+    """Read the columns that every table shows beside its own."""
+    return plain(OmegaConf.load(CONF / "benchmark.yaml"))["columns"]
+
+
 def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
     """Compose every row's configuration and find its folder; a row of the other `panel` is left out."""
     rows = []
@@ -101,13 +106,14 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     rows = [row for row in rows if row.spec.get("shown", True)]
     filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
     filled.pop("paper")
-    beside = filled.pop("beside", [])
+    beside = {"Beside the paper's metrics": filled.pop("beside", []), "Benchmark": benchmark_columns()}
     filled["panel"] = panel if published else None
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
     filled["corpus"] = some.data.name
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(lines, command)
-    filled["breakdowns"] = [_beside(beside, filled["rows"]), *_breakdowns(rows, results)]
+    sections = [_section(title, columns, filled["rows"]) for title, columns in beside.items()]
+    filled["breakdowns"] = [*sections, *_breakdowns(rows, results)]
     motions = {
         row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")
         for row in rows
@@ -221,9 +227,11 @@ def _steps_note(row: TableRow) -> str:
     return f"sampled in {chosen} of its {trained} diffusion steps"
 
 
-def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    shown = [{**row, "published": None} for row in rows if row["results"]]
-    return {"title": "Beside the paper's metrics", "columns": columns, "rows": shown}
+def _section(title: str, columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the rows that have something to show in these columns."""
+    keys = {column["key"] for column in columns}
+    shown = [{**row, "published": None} for row in rows if any(keys & line.keys() for line in row["results"] or ())]
+    return {"title": title, "columns": columns, "rows": shown}
 
 
 BREAKDOWN_COLUMNS = [

@@ -8,9 +8,9 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from kinema.motion.view.html import page, viewer_fragment
-from kinema.report.cells import Cell, Column, Grid, Line
+from kinema.report.cells import FLAG, Cell, Column, Grid, Line
 from kinema.report.effects import HEADINGS, Effect
-from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notice, unfinished
+from kinema.report.text import EFFECTS, effects_legend, flags_legend, flatten, legend, notice, unfinished
 
 if TYPE_CHECKING:
     from kinema.types import Motion
@@ -32,6 +32,7 @@ def html_page(
         f"<p class='notice {tone}'>{escape(notice(table))}</p>",
         _table(main),
         f"<p class='small'>{escape(legend(main))} Grey, marked: the paper's.</p>",
+        _flags(main),
         _notes(table, main),
         _effects(main, seen),
         _motions(main, motions),
@@ -66,6 +67,8 @@ def _row(content: Grid, line: Line, opens: bool) -> str:
 
 def _cell(column: Column, cell: Cell, line: Line) -> str:
     ours = _value(cell.ours.text(column.digits)) if cell.ours else "–" if line.replications else "&nbsp;"
+    if cell.flagged and column.flag:
+        ours += f"<sup title='{escape(column.flag.means, quote=True)}'>{FLAG}</sup>"
     best = " class='best'" if cell.best else ""
     paper = f"<span class='paper'>{_value(cell.paper.text(column.digits))}</span>" if cell.paper else ""
     return f"<td><span{best}>{ours}</span>{paper}</td>"
@@ -74,6 +77,11 @@ def _cell(column: Column, cell: Cell, line: Line) -> str:
 def _value(text: str) -> str:
     mean, _, half = text.partition(" ± ")
     return f"{mean}<i> ± {half}</i>" if half else mean
+
+
+def _flags(content: Grid) -> str:
+    text = flags_legend(content)
+    return f"<p class='small'>{escape(text)}</p>" if text else ""
 
 
 def _notes(table: dict[str, Any], main: Grid) -> str:
@@ -102,7 +110,7 @@ def _effects(main: Grid, seen: Sequence[Effect]) -> str:
 
 def _breakdown(title: str, content: Grid) -> str:
     state = "" if len(content.lines) > _FOLD else " open"
-    return f"<details{state}><summary><h2>{escape(title)}</h2></summary>\n{_table(content)}</details>"
+    return f"<details{state}><summary><h2>{escape(title)}</h2></summary>\n{_table(content)}{_flags(content)}</details>"
 
 
 def _motions(main: Grid, motions: dict[str, list[Motion]]) -> str:
