@@ -179,9 +179,11 @@ def _answer(
 def _update_parts(parts: dict[str, dict[str, Scores]], fields: Fields | None, seen: Observation, total: Scores) -> None:
     """Add a batch's rows to the scores of the values they have."""
     for name, values in (fields(seen.real) if fields else {}).items():
+        known = parts.setdefault(name, {})
         for value in sorted(set(values)):
-            keep = torch.tensor([v == value for v in values], device=seen.index.device)
-            parts.setdefault(name, {}).setdefault(value, total.empty()).update(seen, keep)
+            if value not in known:
+                known[value] = total.empty()
+            known[value].update(seen, torch.tensor([v == value for v in values], device=seen.index.device))
 
 
 def _repeats(

@@ -8,7 +8,6 @@ from torch import Tensor
 from torchmetrics import Metric
 
 from kinema.evaluation.metrics.finite import require_finite
-from kinema.evaluation.metrics.neighbours import squared_distances
 
 
 class NearestTraining(Metric):
@@ -22,6 +21,7 @@ class NearestTraining(Metric):
 
     is_differentiable, full_state_update = False, False
     embeddings: Float[Tensor, "n e"]
+    squares: Float[Tensor, " n"]
     isolation: Float[Tensor, " n"]
     distance: Tensor
     copies: Tensor
@@ -29,7 +29,9 @@ class NearestTraining(Metric):
 
     def __init__(self, embeddings: Float[Tensor, "n e"], isolation: Float[Tensor, " n"], **kwargs: object) -> None:
         super().__init__(**kwargs)
-        self.register_buffer("embeddings", embeddings.to(torch.float64), persistent=False)
+        wide = embeddings.to(torch.float64)
+        self.register_buffer("embeddings", wide, persistent=False)
+        self.register_buffer("squares", wide.square().sum(1), persistent=False)
         self.register_buffer("isolation", isolation, persistent=False)
         self.add_state("distance", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         for name in ("copies", "count"):
@@ -39,8 +41,8 @@ class NearestTraining(Metric):
         """Add embeddings of generated motions."""
         require_finite(motion, "generated motion embeddings")
         rows = motion.detach().to(self.embeddings.device).to(torch.float64)
-        nearest = squared_distances(rows, self.embeddings).argmin(1)
-        # Anew from the difference: a copy has distance 0.
+        nearest = (self.squares - 2 * rows @ self.embeddings.T).argmin(1)
+        # From the difference: a copy has distance 0.
         distances = (rows - self.embeddings[nearest]).norm(dim=1)
         self.distance += distances.sum()
         self.copies += (distances <= self.isolation[nearest]).sum()
