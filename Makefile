@@ -1,10 +1,13 @@
 # Every target does its own set-up: a virtual environment in .venv with the locked versions.
-#   make reproduce-table5 [DATA=synthetic|open_mocap|humanml3d|kit_ml] [SCALE=smoke|tiny|paper] [LAUNCHER=none|joblib|slurm]
+#   make reproduce-table5 [DATA=synthetic|open_mocap|humanml3d|kit_ml] [SCALE=smoke|tiny|paper] [SEEDS=3] [PLAN=1]
+#     [LAUNCHER=local|joblib|submitit_local|slurm]
 PYTHON ?= python3
 VENV   ?= .venv
 DATA   ?= synthetic
 SCALE  ?= smoke
-LAUNCHER ?= none
+LAUNCHER ?= local
+SEEDS  ?=
+PLAN   ?=
 ARGS   ?=
 PY     := $(VENV)/bin/python
 KINEMA := $(VENV)/bin/kinema
@@ -12,17 +15,24 @@ PIP    := $(PY) -m pip install --quiet --disable-pip-version-check
 STAMP  := $(VENV)/.installed
 DOCS   := $(VENV)/.docs
 TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
-STUDIES := $(wildcard conf/study/*.yaml)
+PAGES  := $(patsubst conf/page/%.yaml,%,$(wildcard conf/page/*.yaml))
+# The tables that have a panel of KIT-ML, and the corpus that it is of beside DATA.
+PANELS := $(patsubst conf/table/%.yaml,%,$(shell grep -l '^  kit_ml:' conf/table/*.yaml))
+KIT_OF_synthetic := synthetic_kit
+KIT_OF_humanml3d := kit_ml
+KIT    := $(KIT_OF_$(DATA))
+# Pages say themselves how often they train; a plan runs nothing.
+FLAGS   = $(if $(filter $*,$(TABLES)),$(if $(SEEDS),--seeds $(SEEDS))) $(if $(PLAN),--plan)
 
 .PHONY: help install test lint docs bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
 
-# `target: needs  ## what it does` is what is listed; tables and studies are listed by their titles.
+# `target: needs  ## what it does` is what is listed; tables and pages are listed by their titles.
 help:  ## list the targets
 	@sed -nE 's/^([a-z][a-z0-9-]*):.*  ## (.*)/\1\t\2/p' Makefile | while IFS="$$(printf '\t')" read -r name what; do \
-	  printf '  %-24s %s\n' "$$name" "$$what"; done
-	@for file in $(TABLES:%=conf/table/%.yaml) $(STUDIES); do \
-	  printf '  %-24s %s\n' "reproduce-$$(basename $$file .yaml)" "$$(sed -n 's/^title: //p' $$file)"; done
-	@echo 'Variables: DATA=$(DATA) SCALE=$(SCALE) LAUNCHER=$(LAUNCHER) ARGS= (any overrides) VENV=$(VENV) PYTHON=$(PYTHON)'
+	  printf '  %-30s %s\n' "$$name" "$$what"; done
+	@for file in $(TABLES:%=conf/table/%.yaml) $(PAGES:%=conf/page/%.yaml); do \
+	  printf '  %-30s %s\n' "reproduce-$$(basename $$file .yaml)" "$$(sed -n 's/^title: //p' $$file)"; done
+	@echo 'Variables: DATA=$(DATA) SCALE=$(SCALE) LAUNCHER=$(LAUNCHER) SEEDS= PLAN= ARGS= (any overrides) VENV=$(VENV) PYTHON=$(PYTHON)'
 
 install: $(STAMP)  ## make .venv with the locked versions and this package, editable
 
@@ -55,14 +65,18 @@ bench: $(STAMP)  ## run every benchmark
 doctor: $(STAMP)  ## examine the corpus DATA
 	$(KINEMA) doctor data=$(DATA) $(ARGS)
 
-# One file of conf/table or conf/study each.
+# One file of conf/table or conf/page each.
 reproduce-%: $(STAMP)
-	$(KINEMA) reproduce $* data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(ARGS)
+	$(KINEMA) reproduce $* data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(FLAGS) $(ARGS)
 
 reproduce-bad-figure2: $(STAMP)  ## draw Figure 2 of the BAD paper from the masks in use
 	$(KINEMA) figures bad_masks --out reports/bad-figure2
 
-reproduce-all: $(TABLES:%=reproduce-%)  ## reproduce every table
+# The KIT panel of a table, beside the other one.
+reproduce-%-kit: $(STAMP)
+	$(KINEMA) reproduce $* data=$(KIT) scale=$(SCALE) launcher=$(LAUNCHER) $(FLAGS) $(ARGS) --out reports/$*-kit
+
+reproduce-all: $(TABLES:%=reproduce-%) $(PAGES:%=reproduce-%) reproduce-bad-figure2 $(if $(KIT),$(PANELS:%=reproduce-%-kit))  ## reproduce every table, figure and page, and the panels of KIT-ML beside them
 
 demo: reproduce-table5  ## generate a motion from a sentence, with the generator of table5's last row
 	$(KINEMA) generate "a person waves with the left hand" \

@@ -114,7 +114,9 @@ def test_a_stage_that_builds_something_is_made_once_found_again_and_attached(pag
 def test_a_built_stage_is_part_of_the_fingerprints_of_those_who_read_it(page):
     def names(*more: str) -> list[str]:
         cfg = compose([*page, "method=informed", *more])
-        return [fingerprint(stage_identity(cfg, get_stage(name), "corpus")) for name in ("prior", "generator")]
+        return [
+            fingerprint(stage_identity(cfg, get_stage(name), lambda _: "corpus")) for name in ("prior", "generator")
+        ]
 
     prior, generator = names()
     assert names("generator.train.lr=1e-5")[0] == prior
@@ -122,5 +124,5 @@ def test_a_built_stage_is_part_of_the_fingerprints_of_those_who_read_it(page):
         changed = names(change)
         assert changed[0] != prior
         assert changed[1] != generator
-    without = stage_identity(compose([*page, "method=independent"]), get_stage("generator"), "corpus")
+    without = stage_identity(compose([*page, "method=independent"]), get_stage("generator"), lambda _: "corpus")
     assert set(without["upstream"]) == {"tokenizer"}

@@ -26,12 +26,12 @@ def locked(name: str) -> dict[str, str]:
     return {canonicalize_name(package): version for package, version in pins}
 
 
-def test_make_help_lists_every_target_table_and_study_with_a_line():
+def test_make_help_lists_every_target_table_and_page_with_a_line():
     said = subprocess.run(["make", "help"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     lines = dict(re.findall(r"^  (\S+) +(\S.*)$", said, re.MULTILINE))
     makefile = (ROOT / "Makefile").read_text()
     targets = re.findall(r"^([a-z][a-z0-9-]*):", makefile, re.MULTILINE)
-    files = [*(CONF / "table").glob("*.yaml"), *(CONF / "study").glob("*.yaml")]
+    files = [*(CONF / "table").glob("*.yaml"), *(CONF / "page").glob("*.yaml")]
     titles = {f"reproduce-{f.stem}": yaml.safe_load(f.read_text())["title"] for f in files}
     assert set(lines) == {*targets, *titles}
     assert titles.items() <= lines.items()

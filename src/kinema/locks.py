@@ -15,9 +15,7 @@ def hold(path: str | Path, waiting: Callable[[], object] | None = None) -> Itera
 
     The system frees the lock of a killed process. The file stays: its lock is what counts.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path)
+    lock = _lock(path)
     try:
         lock.acquire(timeout=0)
     except Timeout:
@@ -28,3 +26,24 @@ def hold(path: str | Path, waiting: Callable[[], object] | None = None) -> Itera
         yield
     finally:
         lock.release()
+
+
+@contextmanager
+def attempt(path: str | Path, *, wait: bool = False) -> Iterator[bool]:
+    """Hold the lock of a file if no other has it, and say whether it is held; `wait` for it, and it is."""
+    lock = _lock(path)
+    try:
+        lock.acquire(timeout=-1 if wait else 0)
+    except Timeout:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        lock.release()
+
+
+def _lock(path: str | Path) -> FileLock:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return FileLock(path)

@@ -20,7 +20,7 @@ from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS
 
 MODELS = ("tokenizer", "generator", "residual", "length")
-ELSEWHERE = ("table", "study", "hydra", "method", "scale", "budget", "recipe")
+ELSEWHERE = ("table", "page", "study", "hydra", "method", "scale", "budget", "recipe")
 """No groups, or composed by a test of their own."""
 GROUPS = {
     group.name: sorted(file.stem for file in group.glob("*.yaml"))

@@ -68,6 +68,18 @@ def test_a_clip_listed_twice_is_refused(joints_corpus, again, says):
         read_joints_folder(root)
 
 
+def test_a_folder_may_hold_further_splits(joints_corpus):
+    root = joints_corpus({"a": ("train", 50), "b": ("val", 50), "c": ("test", 50)})
+    (root / "other").mkdir()
+    for part, name in (("train", "c"), ("val", "a"), ("test", "b")):
+        (root / "other" / f"{part}.txt").write_text(name)
+    assert [(c.name, c.split) for c in read_joints_folder(root)] == [("a", "train"), ("b", "val"), ("c", "test")]
+    other = read_joints_folder(root, split="other")
+    assert [(c.name, c.split) for c in other] == [("c", "train"), ("a", "val"), ("b", "test")]
+    with pytest.raises(FileNotFoundError, match=r"lacks new/train.txt, new/val.txt, new/test.txt"):
+        read_joints_folder(root, split="new")
+
+
 def test_official_folder_knows_its_mirrored_clips_and_statistics(official_corpus):
     root = official_corpus({"000001": ("train", 50), "M000001": ("train", 50), "Mimic": ("val", 50)})
     assert read_official(root).statistics is None

@@ -26,6 +26,11 @@ def normal(*size, seed=0):
     return torch.from_numpy(np.random.default_rng(seed).normal(size=size).astype(np.float32))
 
 
+def takes(*numbers):
+    """Make origins of whole takes by number."""
+    return torch.tensor([[number, 0, 9] for number in numbers])
+
+
 def whole(metric, *rows):
     metric.update(*rows)
     return {name: float(value) for name, value in metric.compute().items()}
@@ -160,10 +165,10 @@ def test_prdc_of_one_population_is_as_expected():
 
 
 def test_nearest_training_motion_and_the_memorised_share():
-    training, made, origins = normal(60, 5), normal(40, 5, seed=1), torch.arange(60) // 2
+    training, made = normal(60, 5), normal(40, 5, seed=1)
     made[:10] = training[5:15] + 1e-3  # copies
     training[1::2] = training[::2] + 1e-4  # twins, which must not hide them
-    own = isolation(training, origins)
+    own = isolation(training, takes(*(i // 2 for i in range(60))))
     between = cdist(training.double(), training.double())
     for i in range(60):
         assert own[i].item() == pytest.approx(min(between[i, j] for j in range(60) if j // 2 != i // 2), rel=1e-6)
@@ -174,13 +179,13 @@ def test_nearest_training_motion_and_the_memorised_share():
     assert found["memorised"] >= 10 / 40
     order = torch.from_numpy(np.random.default_rng(2).permutation(40))
     assert in_batches(NearestTraining(training, own), made[order]) == pytest.approx(found, rel=1e-12)
-    alone = isolation(training, torch.arange(60))
+    alone = isolation(training, takes(*range(60)))
     assert whole(NearestTraining(training, alone), made)["memorised"] < found["memorised"]
 
 
 def test_training_motion_itself_is_memorised_and_distant_motion_is_not():
     training = 300 + normal(50, 5)  # an offset that float32 products would lose
-    metric = NearestTraining(training, isolation(training, torch.arange(50)))
+    metric = NearestTraining(training, isolation(training, takes(*range(50))))
     assert whole(metric, training[:20]) == {"nearest_train": 0, "memorised": 1}
     metric.reset()
     far = whole(metric, training[:20] + 50)
@@ -189,11 +194,18 @@ def test_training_motion_itself_is_memorised_and_distant_motion_is_not():
 
 
 def test_isolation_does_not_depend_on_parts(monkeypatch):
-    rows, origins = normal(70, 5), torch.arange(70) % 30
+    rows, origins = normal(70, 5), takes(*(i % 30 for i in range(70)))
     expected = isolation(rows, origins)
     monkeypatch.setattr(neighbours, "ROWS", 16)
     torch.testing.assert_close(isolation(rows, origins), expected)
-    assert isolation(rows, torch.zeros(70, dtype=torch.int64)).isinf().all()
+    assert isolation(rows, takes(*[0] * 70)).isinf().all()
+
+
+def test_clips_that_share_frames_of_a_take_are_not_others():
+    rows = torch.tensor([[0.0], [1.0], [2.0], [5.0], [9.0]])
+    origins = torch.tensor([[0, 0, 40], [0, 39, 80], [0, 80, 120], [0, 20, 60], [1, 0, 40]])
+    # The first overlaps the second and the fourth; the third begins where the second ends.
+    assert isolation(rows, origins).tolist() == [2, 1, 1, 3, 4]
 
 
 @pytest.mark.parametrize(

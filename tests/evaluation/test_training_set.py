@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.data.origin import ORIGIN
 from kinema.data.prepare import prepare_store
 from kinema.data.store import PackedStore
 from kinema.evaluation.cache import EmbeddingCache
@@ -28,17 +29,25 @@ def count(monkeypatch, make):
     return model, seen
 
 
-def test_twins_and_parts_are_of_one_origin(store):
+@pytest.mark.parametrize("known", [True, False])
+def test_twins_and_parts_lie_in_one_take(store, known, monkeypatch):
     entries = store.split_entries("train", captions_required=False)
-    origins = origins_of(store, entries)
-    groups = {}
-    for entry, origin in zip(entries.tolist(), origins.tolist(), strict=True):
-        groups.setdefault(origin, []).append(store.entry_name(entry))
-    originals = {name.split("#")[0].removeprefix("M") for names in groups.values() for name in names}
-    assert len(groups) == len(originals) < len(entries) / 2
-    for names in groups.values():
-        assert len({name.split("#")[0].removeprefix("M") for name in names}) == 1
-    assert max(map(len, groups.values())) == 4  # a clip, a part of it, and their mirror images
+    takes = np.full(store.num_clips, -1, dtype=ORIGIN)
+    if known:  # two originals to a take, a hundred frames apart
+        names = [store.clip_name(clip).removeprefix("M") for clip in range(store.num_clips)]
+        number = np.unique(names, return_inverse=True)[1]
+        takes["take"], takes["start"] = number // 2, 300 * (number % 2)
+        takes["stop"] = takes["start"] + store.clips["frames"]
+    monkeypatch.setattr(store, "origins", takes)
+    origins = dict(zip(map(store.entry_name, entries.tolist()), origins_of(store, entries).tolist(), strict=True))
+    for name, (take, start, stop) in origins.items():
+        whole = origins[name.removeprefix("M").split("#")[0]]
+        assert take == whole[0]
+        assert whole[1] <= start < stop <= whole[2]
+    assert any(origins[name][2] < origins[name.split("#")[0]][2] for name in origins if "#" in name)
+    places = {tuple(origin) for name, origin in origins.items() if "#" not in name}
+    assert len(places) == len({name.removeprefix("M") for name in origins if "#" not in name})
+    assert (len({take for take, _, _ in places}) < len(places)) == known
 
 
 def test_whole_training_motions_are_embedded_once(store, count, tmp_path):

@@ -21,7 +21,7 @@ UNTRAINED = ("retrieval",)
 
 def named(stage: str, *overrides: str, corpus: str = "corpus") -> str:
     own = [f"method={METHOD_OF[stage]}"] if stage in METHOD_OF else []
-    return fingerprint(stage_identity(compose([*own, *overrides]), get_stage(stage), corpus))
+    return fingerprint(stage_identity(compose([*own, *overrides]), get_stage(stage), lambda _: corpus))
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,7 @@ def test_every_stage_has_its_own_name_that_does_not_change(plain_names):
         ("tokenizer", "representation=redundant"),
         ("tokenizer", "representation.variant=published"),
         ("matching", "evaluator=redundant"),
+        ("matching", "evaluator.seed=1"),
         ("matching", "evaluator.words=hashed"),
         ("matching", "evaluator.decomposition.train.steps=201"),
         ("matching", "evaluator.matching.train.validate_every=50"),  # it keeps the best of the validated weights
@@ -110,11 +111,25 @@ def test_machine_and_bookkeeping_change_nothing(stage, plain_names):
         ("tokenizer", "method=mardm_ddpm"),
         ("matching", "representation=redundant"),
         ("matching", "tokenizer.model.width=64"),
+        ("matching", "seed=1"),  # methods of all seeds have the same judges
         ("length", "generator.model.width=128"),
     ],
 )
 def test_what_another_stage_reads_is_not_ones_own(stage, override, plain_names):
     assert named(stage, override) == plain_names[stage]
+
+
+def test_methods_and_judges_learn_from_the_splits_they_name():
+    def read(stage: str, *overrides: str) -> list[str | None]:
+        cfg = compose(["data=open_mocap", *overrides])
+        seen: list[str | None] = []
+        stage_identity(cfg, get_stage(stage), lambda one: str(seen.append(one.split(cfg))))
+        return seen
+
+    divided = "data.options.split=compositional"
+    assert read("generator", divided) == ["compositional"] * 2
+    assert read("matching", divided) == [None] * 2
+    assert read("matching", "evaluator.split=compositional") == ["compositional"] * 2
 
 
 def test_a_new_meaning_of_configs_makes_new_runs(monkeypatch, plain_names):
@@ -136,7 +151,7 @@ def test_evaluations_have_an_identity_too(micro):
 
 
 def folder(stage: str, *overrides: str) -> Path:
-    return stage_folder(compose(list(overrides)), get_stage(stage), "corpus").path
+    return stage_folder(compose(list(overrides)), get_stage(stage), lambda _: "corpus").path
 
 
 @pytest.mark.parametrize(

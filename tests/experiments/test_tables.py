@@ -9,20 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from kinema.data.leakage import CAPTION, FRAMES, TAKE
+from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments import evaluation, reproduce, tables
+from kinema.experiments.benchmark import benchmark_columns, sections
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
-from kinema.experiments.reproduce import missing_work
-from kinema.experiments.tables import (
-    TableRow,
-    benchmark_columns,
-    load_table,
-    plan,
-    provenance,
-    render_table,
-    with_borrowed,
-)
-from kinema.report.cells import grid
+from kinema.experiments.jobs import JobsFailedError, missing_jobs
+from kinema.experiments.multirun import run_multiruns, steps, sweeps
+from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
 
 FILES = ("table.md", "table.csv", "table.tex", "index.html")
 COMMAND = "make reproduce-table5"
@@ -107,7 +102,8 @@ def test_rows_that_were_scored_before_the_benchmark_leave_it_empty():
     rows = [{"key": key, "label": key, "kind": "method", "note": ""} for key in "abcd"]
     results = [[{"jitter": 1.0, "fid": 2.0}], [{"jitter": 3.0, "coverage": 0.5}], [{"fid": 1.0}], []]
     filled = [{**row, "results": found} for row, found in zip(rows, results, strict=True)]
-    section = tables._section("Benchmark", benchmark_columns(), filled)
+    none, section = sections([], filled)
+    assert none["rows"] == []
     assert [row["key"] for row in section["rows"]] == ["a", "b"]
     lines = grid(section).lines
     at = [column["key"] for column in benchmark_columns()].index("coverage")
@@ -135,6 +131,14 @@ def test_the_table_names_what_it_rests_on(complete, table, micro_tables, tmp_pat
     assert "synthetic" in text.split("|")[0]
 
 
+def test_clips_are_told_apart_by_captions_that_training_has(complete, table, micro_tables):
+    for line in plan(table, micro_tables)[0].place.lines:
+        parts = {value: part["n"] for value, part in line["breakdowns"][CAPTION].items()}
+        assert parts.keys() == {"seen", "unseen"}
+        assert sum(parts.values()) == line["metrics"]["n"]
+        assert not {TAKE, FRAMES} & line["breakdowns"].keys()  # a generated corpus has no takes
+
+
 def test_a_corpus_of_no_paper_stands_beside_the_panel_of_its_skeleton(micro_tables, tmp_path):
     """KIT's numbers, and its MDM of 1000 steps, for a corpus on the skeleton of KIT-ML."""
     described = load_table("table5")
@@ -149,7 +153,7 @@ def test_a_corpus_of_no_paper_stands_beside_the_panel_of_its_skeleton(micro_tabl
 
 
 def test_fewer_steps_than_a_model_was_trained_with_are_said(micro_tables):
-    notes = {row.spec["key"]: tables._filled(row, {}, [])["note"] for row in plan(load_table("table5"), micro_tables)}
+    notes = {row.spec["key"]: tables._filled([row], {}, [])["note"] for row in plan(load_table("table5"), micro_tables)}
     assert "sampled in 16 of its 50 diffusion steps" in notes["mardm_ddpm"]
     assert "of its 1000 diffusion steps" in notes["motiondiffuse"]
     assert "diffusion steps" not in notes["mardm_sit"]
@@ -187,7 +191,7 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro_tables, 
     path, _, before = gap
     reproduce.reproduce("table5", micro_tables, render_only=True, out=tmp_path / "blank")
     assert "no complete results for: MARDM-SiT" in capfd.readouterr().out
-    reproduce.reproduce("table5", [*micro_tables, "launcher=none"], out=tmp_path / "whole")
+    reproduce.reproduce("table5", [*micro_tables, "launcher=local"], out=tmp_path / "whole")
     ours, theirs = (row_of(x, "mardm_sit") for x in ((tmp_path / "whole/table.csv").read_text(), before["table.csv"]))
     for metric in ("r1", "fid", "matching", "multimodality", "clip_score"):
         assert float(ours[metric]) == pytest.approx(float(theirs[metric]), rel=1e-3)  # threads add up differently
@@ -210,8 +214,24 @@ def test_a_job_that_fails_is_named_and_its_rows_say_why(table, micro_tables, tmp
     shown = (tmp_path / "report/table.md").read_text()
     assert "Real motion with shuffled captions: failed: " in shown
     assert "100000" in shown
-    with pytest.raises(OSError, match=r"`kinema train -m .*` failed \(see above\)"):
-        reproduce.run_multiruns(plan(table, wrong), wrong)
+
+
+@pytest.mark.slow
+def test_a_multirun_that_fails_leaves_out_what_waits_for_it(table, micro_tables, tmp_path, capfd):
+    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
+    rows = plan({**table, "rows": [row for row in table["rows"] if row["key"] in ("real", "shuffled")]}, wrong)
+    with pytest.raises(JobsFailedError) as failure:
+        run_multiruns(missing_jobs(rows), wrong)
+    assert [job.overrides[0] for job in failure.value.failed] == ["stage=decomposition"]
+    assert "100000" in str(failure.value)
+    assert [job.overrides[0] for job in failure.value.left_out] == ["stage=matching", "source=real", "source=shuffled"]
+    assert any((tmp_path / "runs/contrastive").glob("*/weights.safetensors"))  # of the same step: it was made
+    said = capfd.readouterr().out
+    assert said.count("run       ") == 1
+
+
+def missing_work(rows: list[TableRow]) -> list[tuple[str, list[str]]]:
+    return [(command, choices) for command, step in steps(missing_jobs(rows)) for choices in sweeps(step)]
 
 
 def test_nothing_is_left_to_run_when_all_is_there(complete, table, micro_tables):
@@ -270,7 +290,10 @@ def test_one_method_under_two_judges(micro_tables, tmp_path):
     assert "redundant dims recomputed from the joints" in (tmp_path / "table.md").read_text()
 
 
-@pytest.mark.parametrize("name", sorted(file.stem for file in (CONF / "table").glob("*.yaml")))
+TABLES = sorted(file.stem for file in (CONF / "table").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", [name for name in TABLES if meant_for(load_table(name), ["data=synthetic"])])
 def test_the_work_makes_every_row_where_the_table_looks_for_it(name, micro_tables, tmp_path):
     described = load_table(name)
     overrides = [*(o for o in micro_tables if not o.startswith("generator.model")), f"paths.runs={tmp_path}"]
@@ -283,6 +306,28 @@ def test_the_work_makes_every_row_where_the_table_looks_for_it(name, micro_table
                 chosen = [*overrides, *described.get("overrides", []), *combination]
                 made.add(evaluation.describe(compose(chosen, "evaluate")).folder.path)
     assert made == {row.place.folder.path for row in rows if row.place}
+
+
+def test_a_table_on_a_split_of_its_own_keeps_the_judges_of_the_corpus(micro_tables, table, tmp_path, capfd):
+    folder = write_joints_folder(synthetic_clips(size=40, seed=2), tmp_path / "corpus")
+    lists = {part: (folder / f"{part}.txt").read_text() for part in ("train", "val", "test")}
+    described = load_table("table5-compositional")
+    assert described["rows"] == table["rows"]
+    assert described["paper"] == table["paper"]
+    assert described["title"] != table["title"]
+    overrides = [o for o in micro_tables if not o.startswith(("data", "paths.stores"))]
+    overrides += ["data=open_mocap", f"data.source={folder}", f"paths.stores={tmp_path}", f"paths.runs={tmp_path}"]
+    with pytest.raises(FileNotFoundError, match=r"lacks compositional/train.txt, compositional/val.txt"):
+        plan(described, overrides)
+    (folder / "compositional").mkdir()
+    for part, other in (("train", "train"), ("val", "test"), ("test", "val")):
+        (folder / "compositional" / f"{part}.txt").write_text(lists[other])
+    own, new = plan(table, overrides), plan(described, overrides)
+    assert [row.place.judges for row in own if row.place] == [row.place.judges for row in new if row.place]
+    assert not {row.place.folder.path for row in own if row.place} & {row.place.folder.path for row in new if row.place}
+    reproduce.reproduce("table5-compositional", ["data=synthetic"], out=tmp_path / "report")
+    assert "skipped   table5-compositional is a table of data=open_mocap alone" in capfd.readouterr().out
+    assert not (tmp_path / "report").exists()
 
 
 def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):

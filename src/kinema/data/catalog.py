@@ -12,8 +12,12 @@ from typing import Any, Literal
 import numpy as np
 
 from kinema.data.captions import AnnotatedCaption, parse_line
+from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
 from kinema.motion.skeleton import get_skeleton
 from kinema.motion.statistics import Statistics
+
+VERSION = 2
+"""Raised when a reader gives other clips of the same source."""
 
 SPLITS = ("train", "val", "test")
 
@@ -24,7 +28,7 @@ class Clip:
 
     Exactly one of `joints` (-> (T, J, 3), Y up, in the skeleton's unit and frame rate) and `features` (-> (T, D) full
     width) is given; it must be picklable (a `functools.partial` of a module's function) to be loaded by processes.
-    `fields` holds what is known of the clip, e.g. source, label, licence.
+    `fields` holds what is known of the clip, e.g. source, label, licence; `origin` its take and frames there.
     """
 
     name: str
@@ -34,6 +38,7 @@ class Clip:
     joints: Callable[[], np.ndarray] | None = None
     features: Callable[[], np.ndarray] | None = None
     mirrored: bool = False
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -71,20 +76,22 @@ class Catalog:
         return len(self.clips)
 
 
-def read_joints_folder(path: str | Path) -> Catalog:
+def read_joints_folder(path: str | Path, split: str | None = None) -> Catalog:
     """Read `joints/NAME.npy` (T, J, 3), `texts/NAME.txt` and the split files: the layout of open-mocap.
 
     `texts/` may be absent (a corpus without captions). An optional `manifest.json`, a list of objects with a `name`,
-    gives every clip's fields. A clip `MNAME` beside `NAME` is taken for the mirror image of it.
+    gives every clip's fields; `split` names a folder in there with other split files. A clip `MNAME` beside `NAME` is
+    taken for the mirror image of it, `NAME_sK` for the K-th piece of a take, unless an `index.csv` says otherwise.
     """
-    return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"))
+    return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"), split)
 
 
 def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
     """Read the folders of HumanML3D or KIT-ML: `new_joint_vecs/`, `texts/`, split files, `Mean.npy` and `Std.npy`.
 
     Mirrored clips are in there under `MNAME`, with their captions swapped already. The folder's own statistics are
-    used where present. Raises ValueError if they do not have the skeleton's full width.
+    used where present, and `index.csv`, there or beside it, for the takes that clips were cut from. Raises ValueError
+    if the statistics do not have the skeleton's full width.
     """
     root, width = Path(path), get_skeleton(skeleton).feature_width
     catalog = _read_folder(root, "new_joint_vecs", {})
@@ -102,10 +109,10 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
     return Catalog(catalog.clips, catalog.dropped, statistics)
 
 
-def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]]) -> Catalog:
+def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], split: str | None = None) -> Catalog:
     """Read every clip that a split file lists; `motions` names the folder of arrays and so the kind of motion."""
     kind = "joints" if motions == "joints" else "features"
-    listed = _read_splits(root, motions)
+    listed, index = _read_splits(root, motions, split), read_index(root)
     available = _stems(root / motions, ".npy")
     texts = _stems(root / "texts", ".txt") if (root / "texts").is_dir() else None
     clips, dropped = [], []
@@ -119,7 +126,10 @@ def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]]) -> 
         dropped += [Dropped(name, split, "caption", reason) for reason in unreadable]
         load = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
         mirrored = name.startswith("M") and name[1:] in listed
-        clips.append(Clip(name, split, captions, known.get(name, {}), mirrored=mirrored, **load))
+        base, fields = name[1:] if mirrored else name, known.get(name, {})
+        named = kind == "joints" and not any(fields.get(field) for field in SOURCE_FIELDS)
+        origin = index.get(base) or (named_origin(base) if named else None)
+        clips.append(Clip(name, split, captions, fields, mirrored=mirrored, origin=origin, **load))
     return Catalog(clips, dropped)
 
 
@@ -131,24 +141,25 @@ def load_array(file: str) -> np.ndarray:
         raise ValueError(f"{file} is cut off: {error}") from None
 
 
-def _read_splits(root: Path, motions: str) -> dict[str, str]:
+def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str, str]:
     """Map every listed name to its split, in split order. Raises FileNotFoundError for what the layout lacks."""
+    lists = root / split if split else root
     layout = f"{motions}/NAME.npy, texts/NAME.txt, train.txt, val.txt, test.txt (one NAME a line)"
     lacking = [motions] if not (root / motions).is_dir() else []
-    lacking += [f"{split}.txt" for split in SPLITS if not (root / f"{split}.txt").is_file()]
+    lacking += [str((lists / f"{s}.txt").relative_to(root)) for s in SPLITS if not (lists / f"{s}.txt").is_file()]
     if lacking:
         state = "does not exist" if not root.is_dir() else f"lacks {', '.join(lacking)}"
         raise FileNotFoundError(f"corpus folder {root} {state}; expected layout: {layout}")
     found: dict[str, str] = {}
-    for split in SPLITS:
-        lines = (root / f"{split}.txt").read_text(encoding="utf-8-sig").splitlines()
+    for part in SPLITS:
+        lines = (lists / f"{part}.txt").read_text(encoding="utf-8-sig").splitlines()
         for name in filter(None, map(str.strip, lines)):
             if name in found:
-                where = f"twice in {split}.txt" if found[name] == split else f"in {found[name]}.txt and {split}.txt"
-                raise ValueError(f"{root}: clip {name!r} is listed {where}; list it once")
-            found[name] = split
+                where = f"twice in {part}.txt" if found[name] == part else f"in {found[name]}.txt and {part}.txt"
+                raise ValueError(f"{lists}: clip {name!r} is listed {where}; list it once")
+            found[name] = part
     if not found:
-        raise ValueError(f"{root}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
+        raise ValueError(f"{lists}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
     return found
 
 

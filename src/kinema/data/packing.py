@@ -13,6 +13,7 @@ import numpy as np
 
 from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Clip, Dropped
+from kinema.data.origin import Origin, tabulate
 from kinema.data.store import CAPTION, CLIP, ENTRY, FORMAT, checksum
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.statistics import Statistics
@@ -36,6 +37,7 @@ class StoreWriter:
         self._captions: list[tuple[int, int]] = []
         self._strings: dict[str, int] = {}
         self._fields: list[dict[str, str]] = []
+        self._origins: list[Origin | None] = []
         self._dropped: list[Dropped] = []
         self._features_hash = hashlib.sha256()
         self._index_hash = hashlib.sha256(f"kinema store {FORMAT} {skeleton.name}".encode())
@@ -57,6 +59,8 @@ class StoreWriter:
         split = SPLITS.index(clip.split)
         self._clips.append((self.frames, len(rows), split, clip.mirrored, self._intern(clip.name)))
         self._fields.append(clip.fields)
+        # n + 1 frames of joints make n rows of features.
+        self._origins.append(clip.origin and clip.origin.ending(len(rows) + 1))
         whole = [c for c in clip.captions if not c.tagged]
         tagged = [c for c in clip.captions if c.tagged]
         if whole or not tagged:
@@ -79,6 +83,7 @@ class StoreWriter:
         (statistics or computed).save(self.folder / "statistics.npz")
         self._write_index()
         self._write_fields()
+        self._write_origins()
         _dump(self.folder / "dropped.json", [vars(d) for d in self._dropped])
         content = self._content_hash(statistics)
         files = sorted(self.folder.iterdir())
@@ -163,6 +168,13 @@ class StoreWriter:
                 codes[row, column] = values[name].setdefault(fields.get(name, ""), len(values[name]))
         np.save(self.folder / "fields.npy", codes)
         _dump(self.folder / "fields.json", {name: list(found) for name, found in values.items()})
+
+    def _write_origins(self) -> None:
+        """Write the takes that clips were cut from, if any is known; like fields they do not enter the content hash."""
+        rows, takes = tabulate(self._origins)
+        if takes:
+            np.save(self.folder / "origins.npy", rows)
+            _dump(self.folder / "takes.json", takes)
 
     def _chunks(self) -> Iterator[np.ndarray]:
         shape = (self.frames, self.skeleton.feature_width)

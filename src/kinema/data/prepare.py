@@ -22,6 +22,7 @@ import numpy as np
 from kinema.atomic import staging_folder
 from kinema.data.catalog import Catalog, Clip, Dropped
 from kinema.data.convert import convert
+from kinema.data.origin import index_file
 from kinema.data.packing import StoreWriter
 from kinema.data.store import FORMAT, PackedStore
 from kinema.locks import hold
@@ -193,7 +194,7 @@ def _request_of(store: Path) -> str | None:
 
 
 def _listing(source: str | Path | None) -> str:
-    """Name a source's files cheaply: paths below it, sizes and times."""
+    """Name a source's files cheaply: paths below it and of its index, sizes and times."""
     if source is None:
         return ""
     root, found = Path(source), hashlib.sha256()
@@ -202,4 +203,8 @@ def _listing(source: str | Path | None) -> str:
         for file in sorted(files):
             status = os.stat(os.path.join(folder, file))
             found.update(f"{os.path.relpath(folder, root)}/{file} {status.st_size} {status.st_mtime_ns}\n".encode())
+    index = index_file(root)
+    if index is not None and index.parent != root.absolute():
+        status = index.stat()
+        found.update(f"../index.csv {status.st_size} {status.st_mtime_ns}\n".encode())
     return found.hexdigest()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from kinema.data.catalog import SPLITS
+from kinema.data.origin import ORIGIN, Origin
 from kinema.motion.skeleton import Skeleton, get_skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import Caption
@@ -138,6 +139,18 @@ class PackedStore:
         return self._field_values[field][self._field_codes[clip, self.fields.index(field)]]
 
     @cached_property
+    def origins(self) -> np.ndarray:
+        """The take of every clip and its frames there, rows of `ORIGIN`; none known in a store without the files."""
+        if "origins.npy" not in self.manifest["sizes"]:
+            return np.full(self.num_clips, -1, dtype=ORIGIN)
+        return self._table("origins.npy")
+
+    def clip_origin(self, clip: int) -> Origin | None:
+        """Return where a clip was cut from, None where the corpus doesn't say."""
+        take, start, stop = self.origins[clip].tolist()
+        return None if take < 0 else Origin(self._takes[take], start, stop)
+
+    @cached_property
     def dropped(self) -> list[dict[str, Any]]:
         """List what was left out: name, split, what (missing, clip, entry, caption), reason."""
         return json.loads((self.path / "dropped.json").read_text(encoding="utf-8"))
@@ -174,6 +187,10 @@ class PackedStore:
     @cached_property
     def _captions(self) -> np.ndarray:
         return self._table("captions.npy")
+
+    @cached_property
+    def _takes(self) -> list[str]:
+        return json.loads((self.path / "takes.json").read_text(encoding="utf-8"))
 
     @cached_property
     def _string_ends(self) -> np.ndarray:

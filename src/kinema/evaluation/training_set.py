@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from torch import Tensor
 
 from kinema.data.collate import collate
 from kinema.data.datasets import Item, crop_frames
+from kinema.data.leakage import entry_origins
+from kinema.data.origin import ORIGIN
 from kinema.data.store import PackedStore
 from kinema.evaluation.cache import EmbeddingCache
 from kinema.evaluation.encoders.base import TextMotionEvaluator
@@ -21,9 +24,9 @@ from kinema.types import MotionBatch
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """Hold embeddings of training motions, and the distance of each to the nearest one of another origin.
+    """Hold embeddings of training motions, and the distance of each to the nearest one of other frames.
 
-    Mirror images and parts of one clip have one origin: they lie near each other by construction.
+    Mirror images, and clips and parts that overlap in their take, lie near each other by construction.
     """
 
     embeddings: Float[Tensor, "n e"]
@@ -38,9 +41,12 @@ class TrainingSet:
         entries = store.split_entries("train", captions_required=False)
         # Batches of about one length hold little padding.
         entries = entries[np.argsort(store.entries["frames"][entries], kind="stable")]
+        origins = origins_of(store, entries)
+        # The store's hash names its content, but not what is known of takes.
+        key = f"isolation-{hashlib.sha256(origins.tobytes()).hexdigest()[:24]}"
         embeddings = shelf.get("embeddings", lambda: embed(store, entries, evaluator.eval()), device)
-        origins = torch.from_numpy(origins_of(store, entries)).to(embeddings.device)
-        found = cls(embeddings, shelf.get("isolation", lambda: isolation(embeddings, origins), device))
+        known = torch.from_numpy(origins).to(device)
+        found = cls(embeddings, shelf.get(key, lambda: isolation(embeddings, known), device))
         shelf.save()
         return found
 
@@ -57,11 +63,20 @@ def embed(
     return torch.cat(parts)
 
 
-def origins_of(store: PackedStore, entries: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Number the clips that entries come from; a mirrored clip is its original's."""
-    clips = store.entries["clip"][entries]
+def origins_of(store: PackedStore, entries: Int[np.ndarray, " n"]) -> Int[np.ndarray, "n 3"]:
+    """Return the take of each entry by number, and its frames there; a clip of no known take is a take of its own.
+
+    A mirrored clip is of the frames of its original.
+    """
+    rows = entry_origins(store)[entries]
+    found = np.stack([rows[name].astype(np.int64) for name in ORIGIN.names or ()], axis=1)
+    lost = rows["take"] < 0
+    clips = store.entries["clip"][entries[lost]]
     names = [store.clip_name(clip).removeprefix("M" if store.clips["mirrored"][clip] else "") for clip in clips]
-    return np.unique(names, return_inverse=True)[1]
+    start = store.entries["offset"][entries[lost]] - store.clips["offset"][clips]
+    takes = rows["take"].max(initial=-1) + 1 + np.unique(names, return_inverse=True)[1]
+    found[lost] = np.stack([takes, start, start + store.entries["frames"][entries[lost]]], axis=1)
+    return found
 
 
 def _batch(store: PackedStore, entries: Int[np.ndarray, " n"], dims: str) -> MotionBatch:

@@ -110,8 +110,25 @@ def validate(cfg: DictConfig) -> None:
         raise ValueError(f"lift={cfg.lift!r}; it must be true or false")
     if "source" in cfg and not (isinstance(cfg.perturb.level, int | float) and 0 <= cfg.perturb.level < math.inf):
         raise ValueError(f"perturb.level={cfg.perturb.level!r}; it must be a number of at least 0 (deviations)")
-    if not isinstance(cfg.seed, int) or cfg.seed < 0:
-        raise ValueError(f"seed={cfg.seed!r}; it must be an integer of at least 0")
+    if "source" in cfg:
+        _check_scoring(cfg)
+    for key, seed in (("seed", cfg.seed), ("evaluator.seed", cfg.evaluator.seed)):
+        if not isinstance(seed, int) or seed < 0:
+            raise ValueError(f"{key}={seed!r}; it must be an integer of at least 0")
+
+
+def _check_scoring(cfg: DictConfig) -> None:
+    count, asked = cfg.scale.protocol.replications, plain(cfg.replications)
+    if asked is not None and not (isinstance(asked, list) and asked and set(asked) <= set(range(count))):
+        raise ValueError(
+            f"replications={asked!r}; it must be null or a list of some of 0 ... {count - 1} "
+            "(scale.protocol.replications says how many there are)"
+        )
+    if cfg.objective is not None and cfg.scale.protocol.split != "val":
+        raise ValueError(
+            f"objective={cfg.objective} with scale.protocol.split={cfg.scale.protocol.split}; only val selects: set "
+            "scale.protocol.split=val"
+        )
 
 
 def check_options(cfg: DictConfig) -> None:

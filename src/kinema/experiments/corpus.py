@@ -14,7 +14,13 @@ from kinema.experiments.config import plain
 
 def open_corpus(cfg: DictConfig) -> Path:
     """Prepare the corpus where it isn't yet and give its store's folder; a prepared one costs milliseconds."""
+    return open_split(cfg, cfg.data.options.get("split"))
+
+
+def open_split(cfg: DictConfig, split: str | None) -> Path:
+    """Give the store of the corpus divided by one of its own splits; None is the one that stands in its folder."""
     data = plain(cfg.data)
+    options = {**data["options"], "split": split}
     return prepare_store(
         data["reader"],
         data["source"],
@@ -22,8 +28,14 @@ def open_corpus(cfg: DictConfig) -> Path:
         name=data["name"],
         skeleton=data["skeleton"],
         mirror=data["mirror"],
-        **data["options"],
+        **{key: value for key, value in options.items() if value is not None},
     )
+
+
+def corpus_label(cfg: DictConfig) -> str:
+    """Name the corpus, and the split of it where that isn't its own."""
+    split = cfg.data.options.get("split")
+    return f"{cfg.data.name}, {split} split" if split else cfg.data.name
 
 
 def require_captions(store: PackedStore, *splits: str) -> None:

@@ -12,46 +12,61 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
+from rich.markup import escape
 
 from kinema.experiments.config import CONF, explain, refuse_processes, register_resolvers
+
+EXPECTED = (ValueError, OSError, ImportError)
+"""What a user can mend: told in one line."""
 
 
 def train(arguments: Sequence[str] | None = None) -> None:
     """Train, resume or return the run that the configuration names; exit 1 with one line for a user's error.
 
+    A sweeper is given the validation loss of the weights that were kept.
     `arguments` are Hydra's (sys.argv's if left out): overrides such as stage=generator method=mardm_sit, or flags.
     """
 
-    def stage(cfg: DictConfig) -> None:
+    def stage(cfg: DictConfig) -> float | None:
         from kinema.experiments.run import run_stage  # here: --help must not pay for torch
 
-        run_stage(cfg, cfg.stage)
+        return run_stage(cfg, cfg.stage).status.get("val_loss")
 
     _run("train", stage, arguments)
 
 
 def evaluate(arguments: Sequence[str] | None = None) -> None:
-    """Append the replications of one row that are missing, one JSON line each; arguments and errors as of `train`."""
+    """Append the replications of one row that are missing, one JSON line each; arguments and errors as of `train`.
 
-    def row(cfg: DictConfig) -> None:
+    A sweeper is given the mean of the metric that `objective` names.
+    """
+
+    def row(cfg: DictConfig) -> float | None:
         from kinema.experiments.evaluation import run_evaluation
 
-        run_evaluation(cfg)
+        scored = run_evaluation(cfg)
+        return None if cfg.objective is None else scored.mean(cfg.objective)
 
     _run("evaluate", row, arguments)
 
 
-def _run(config_name: str, task: Callable[[DictConfig], None], arguments: Sequence[str] | None) -> None:
+def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments: Sequence[str] | None) -> None:
     given = sys.argv
 
-    def job(cfg: DictConfig) -> None:
+    def job(cfg: DictConfig) -> float | None:
         # Lightning starts the processes of further devices with what sys.argv was; Hydra read a part of it.
         sys.argv = given
+        sweep = HydraConfig.get().mode == RunMode.MULTIRUN
         try:
-            refuse_processes(cfg, multirun=HydraConfig.get().mode == RunMode.MULTIRUN)
-            task(cfg)
-        except (ValueError, OSError, ImportError) as error:
+            refuse_processes(cfg, multirun=sweep)
+            return task(cfg)
+        except EXPECTED as error:
             if cfg.debug.enabled:
+                raise
+            if sweep:  # it must not end the others: Hydra tells it when all are done
+                from kinema.runs.console import console  # here: launchers pickle this function with what it names
+
+                console.print(f"[red]failed[/]    {escape(str(error))}")
                 raise
             sys.exit(f"error: {error}")
 
@@ -63,5 +78,7 @@ def _run(config_name: str, task: Callable[[DictConfig], None], arguments: Sequen
         hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"error: {explain(error)}")
+    except EXPECTED as error:  # of a job of a sweep, told above
+        sys.exit(f"error: {error}")
     finally:
         sys.argv = given

@@ -2,24 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import time
+import traceback
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.atomic import write_text
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions
-from kinema.experiments.identity import fingerprint, run_identity
+from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
+from kinema.locks import attempt
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
 from kinema.runs.versions import versions
+
+if TYPE_CHECKING:
+    from kinema.experiments.scoring import Scorer
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,7 @@ class Row:
     """Hold an evaluation's place, the runs it reads by stage, and how many replications it has.
 
     `subject` is the run whose motion is judged (none: real motion), `beside` its companions (None: without it).
+    `asked` are the replications that this call is to score.
     """
 
     folder: RunFolder
@@ -34,6 +43,7 @@ class Row:
     subject: dict[str, Path]
     beside: dict[str, Path | None]
     replications: int
+    asked: tuple[int, ...]
 
     @property
     def runs(self) -> dict[str, Path]:
@@ -43,17 +53,35 @@ class Row:
     @property
     def lines(self) -> list[dict[str, Any]]:
         """The results by replication, each at most once."""
-        found = {line["replication"]: line for line in read_lines(self.folder.path / "replications.jsonl")}
+        found = {line["replication"]: line for line in scored_lines(self.folder.path)}
         return [found[r] for r in range(self.replications) if r in found]
+
+    def mean(self, metric: str) -> float:
+        """Return the mean of a metric over the replications; raises ValueError naming those there are."""
+        found = [line["metrics"] for line in self.lines]
+        if not all(metric in metrics for metrics in found):
+            raise ValueError(f"objective={metric} is no metric of this row; it has {', '.join(sorted(found[0]))}")
+        return math.fsum(metrics[metric] for metrics in found) / len(found)
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """The replications that are asked for and have no line."""
+        there = {line["replication"] for line in self.lines}
+        return tuple(r for r in self.asked if r not in there)
+
+
+def scored_lines(folder: Path) -> list[dict[str, Any]]:
+    """Read the replications that an evaluation's folder holds."""
+    return read_lines(folder / "replications.jsonl")
 
 
 def describe(cfg: DictConfig) -> Row:
     """Find the folder of an evaluation without running anything."""
     validate(cfg)
-    corpus = PackedStore.open(open_corpus(cfg)).hash
+    corpus, corpus_of = PackedStore.open(open_corpus(cfg)).hash, corpora(cfg)
 
     def found(stage: Stage) -> Path:
-        return stage.given(cfg) or stage_folder(cfg, stage, corpus).path
+        return stage.given(cfg) or stage_folder(cfg, stage, corpus_of).path
 
     scored = [stage for stage in stages().values() if stage.scored(cfg)]
     companions = [other for stage in scored for other in companions_of(stage)]
@@ -63,6 +91,7 @@ def describe(cfg: DictConfig) -> Row:
         subject={stage.name: found(stage) for stage in scored},
         beside={stage.name: found(stage) if stage.beside(cfg) else None for stage in companions},
         replications=cfg.scale.protocol.replications,
+        asked=tuple(range(cfg.scale.protocol.replications) if cfg.replications is None else cfg.replications),
     )
     identity = _identity(cfg, row, corpus)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
@@ -72,7 +101,8 @@ def describe(cfg: DictConfig) -> Row:
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
-    return replace(row, folder=run_folder(cfg, "evaluation", label, fingerprint(identity)))
+    split = cfg.data.options.get("split")
+    return replace(row, folder=run_folder(cfg, "evaluation", label, split, cfg.seed, fingerprint(identity)))
 
 
 def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
@@ -100,18 +130,28 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
 
 
 def run_evaluation(cfg: DictConfig) -> Row:
-    """Compute the replications that a row lacks; finished ones are never computed again."""
+    """Compute the replications that a row lacks; finished ones are never computed again.
+
+    Several processes may score one row: each takes what no other is at.
+    """
     row = describe(cfg)
-    if len(row.lines) == row.replications:
+    if not row.missing:
         console.print(f"cached    {row.folder.path}")
         return row
     for stage in _unfinished(cfg, row):
         run_stage(cfg, stage.name, quiet=True)
-    with row.folder.lock():
-        done = {line["replication"] for line in row.lines}
-        missing = [r for r in range(row.replications) if r not in done]
-        if missing:
-            _score(cfg, row, missing)
+    scoring = _Scoring(cfg, row)
+    try:
+        for patient in (False, True):  # what another process is at is waited for when nothing else is left
+            for replication in row.missing:
+                with attempt(row.folder.path / f".replication-{replication}.lock", wait=patient) as mine:
+                    if mine and replication in row.missing:
+                        scoring.score(replication)
+    except BaseException as error:
+        row.folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
+        raise
+    if len(row.lines) == row.replications:
+        row.folder.mark("done", versions=versions())
     return row
 
 
@@ -128,7 +168,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
                 f"source {cfg.source} needs the {stage.name} run {row.runs[stage.name]}, which isn't finished; train "
                 f"it with `{command(cfg, stage)}` or set ensure=true"
             )
-        check(cfg, stage, store)
+        check(cfg, stage)
     return found
 
 
@@ -148,28 +188,42 @@ def _check_judges(cfg: DictConfig, row: Row) -> None:
         )
 
 
-def _score(cfg: DictConfig, row: Row, missing: list[int]) -> None:
-    from kinema.experiments.scoring import Scorer
+class _Scoring:
+    """Score replications one by one; what they share is loaded for the first."""
 
-    console.print(f"evaluate  {row.folder.path}: replications {', '.join(map(str, missing))} of {row.replications}")
-    resolved = plain(cfg)
-    resolved.pop("hydra", None)
-    OmegaConf.save(OmegaConf.create(resolved), row.folder.path / "config.yaml")
-    scorer = Scorer(cfg, row, open_corpus(cfg))
-    software = versions()
-    for replication in missing:
-        started = time.monotonic()
+    def __init__(self, cfg: DictConfig, row: Row) -> None:
+        self.cfg, self.row = cfg, row
+        self.software = versions()
+
+    @cached_property
+    def scorer(self) -> Scorer:
+        """Load the judges, the source and the corpus, and say in the folder what is scored."""
+        from kinema.experiments.scoring import Scorer
+
+        resolved = plain(self.cfg)
+        resolved.pop("hydra", None)
+        # Another process' configuration of this row differs in nothing that counts.
+        write_text(self.row.folder.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(resolved)))
+        self.row.folder.mark("running", versions=self.software)
+        missing = ", ".join(map(str, self.row.missing))
+        console.print(f"evaluate  {self.row.folder.path}: replications {missing} of {self.row.replications}")
+        return Scorer(self.cfg, self.row, open_corpus(self.cfg))
+
+    def score(self, replication: int) -> None:
+        """Score one replication and append its line."""
+        started, folder = time.monotonic(), self.row.folder
+        scorer = self.scorer
         result = scorer.replicate(replication)
         if replication == 0:
-            scorer.save_samples(row.folder.path / "samples.npz", result)
+            scorer.save_samples(folder.path / "samples.npz", result)
         line = {
             "replication": replication,
             "metrics": result.metrics,
             "breakdowns": result.breakdowns,
             "seconds": round(time.monotonic() - started, 2),
-            "provenance": {**scorer.provenance, "versions": software},
+            "provenance": {**scorer.provenance, "versions": self.software},
         }
-        append_line(row.folder.path / "replications.jsonl", line)
+        with folder.lock():
+            append_line(folder.path / "replications.jsonl", line)
         shown = " ".join(f"{k} {result.metrics[k]:.3f}" for k in ("r1", "r3", "fid", "matching") if k in result.metrics)
         console.print(f"  replication {replication}: {shown} ({line['seconds']:.0f} s)")
-    row.folder.mark("done", versions=software)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +26,39 @@ def fingerprint(value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def stage_identity(cfg: DictConfig, stage: Stage, corpus_hash: str) -> dict[str, Any]:
-    """Collect what determines a stage's weights: its config, the corpus, the seed and its upstream runs."""
+Corpora = Callable[[Stage], str]
+"""The hash of the corpus that a stage learns from."""
+
+
+def corpora(cfg: DictConfig) -> Corpora:
+    """Return the corpora of a configuration, each split opened once."""
+    known: dict[str | None, str] = {}
+
+    def corpus_of(stage: Stage) -> str:
+        split = stage.split(cfg)
+        if split not in known:
+            known[split] = stage.corpus(cfg).hash
+        return known[split]
+
+    return corpus_of
+
+
+def stage_identity(cfg: DictConfig, stage: Stage, corpus_of: Corpora) -> dict[str, Any]:
+    """Collect what determines a stage's weights: its config, its corpus, its seed and its upstream runs."""
     return {
         "version": IDENTITY_VERSION,
         "stage": stage.name,
-        "corpus": corpus_hash,
-        "seed": cfg.seed,
+        "corpus": corpus_of(stage),
+        "seed": stage.seed(cfg),
         "settings": stage.settings(cfg),
         "reads": {key: plain(OmegaConf.select(cfg, key)) for key in stage.reads},
-        "upstream": {other.name: _upstream(cfg, other, corpus_hash) for other in needs_of(stage) if other.present(cfg)},
+        "upstream": {other.name: _upstream(cfg, other, corpus_of) for other in needs_of(stage) if other.present(cfg)},
     }
 
 
-def _upstream(cfg: DictConfig, stage: Stage, corpus_hash: str) -> str:
+def _upstream(cfg: DictConfig, stage: Stage, corpus_of: Corpora) -> str:
     given = stage.given(cfg)
-    return fingerprint(stage_identity(cfg, stage, corpus_hash) if given is None else run_identity(given))
+    return fingerprint(stage_identity(cfg, stage, corpus_of) if given is None else run_identity(given))
 
 
 def run_identity(run: Path) -> str:

@@ -5,22 +5,22 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from omegaconf import DictConfig
 from rich.markup import escape
 
-from kinema.data.store import PackedStore
 from kinema.experiments.config import compose, refuse_processes
-from kinema.experiments.corpus import open_corpus
+from kinema.experiments.evaluation import scored_lines
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage
-from kinema.experiments.tables import TableRow, row_overrides, trained_by
+from kinema.experiments.tables import TableRow
 from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
 
 TRAIN, EVALUATE = "train", "evaluate"
 
@@ -33,26 +33,48 @@ class Job:
     overrides: tuple[str, ...]
     makes: Path
     reads: frozenset[Path] = frozenset()
+    replications: tuple[int, ...] = ()
+
+    def unfinished(self) -> str | None:
+        """Say why it isn't finished; None if it is."""
+        if self.command == TRAIN:
+            there = RunFolder(self.makes).done
+        else:
+            there = set(self.replications) <= {line["replication"] for line in scored_lines(self.makes)}
+        if there:
+            return None
+        return RunFolder(self.makes).status.get("error") or "it ended before it was finished; its own output says more"
 
     def __str__(self) -> str:
         return shlex.join(["kinema", self.command, *self.overrides])
 
 
-def missing_jobs(rows: Iterable[TableRow], shared: list[str]) -> list[Job]:
-    """Return a job for each run and each scored row that is lacking, each run once; what most wait for comes first."""
+def missing_jobs(rows: Iterable[TableRow], shared: Sequence[str] = (), replications: int | None = None) -> list[Job]:
+    """Return a job for each run and each scored row that is lacking, each run once; what most wait for comes first.
+
+    A row is one job, or one for so many `replications` each.
+    """
     jobs: dict[Path, Job] = {}
+    scored: dict[Path, list[Job]] = {}
     for row in rows:
         if row.cfg is None or row.place is None or row.complete:
             continue
-        method = [f"method={row.spec['method']}"] if "method" in row.spec else []
-        trained = [*shared, *method, *trained_by(row)]
+        trained = [*shared, *row.trained]
         reads = set()
         for name, path in row.place.runs.items():
             if _add_stage(jobs, row.cfg, get_stage(name), trained) is not None:
                 reads.add(path)
-        scored = (*shared, *row_overrides(row.spec))
-        jobs[row.place.folder.path] = Job(EVALUATE, scored, row.place.folder.path, frozenset(reads))
-    return _longest_first(jobs)
+        whole = Job(EVALUATE, (*shared, *row.overrides), row.place.folder.path, frozenset(reads), row.place.missing)
+        scored[whole.makes] = _divided(whole, replications)
+    return [*_longest_first(jobs), *(job for parts in scored.values() for job in parts)]
+
+
+def _divided(job: Job, size: int | None) -> list[Job]:
+    if size is None:
+        return [job]
+    parts = [job.replications[i : i + size] for i in range(0, len(job.replications), size)]
+    own = [f"replications=[{','.join(map(str, part))}]" for part in parts]
+    return [replace(job, overrides=(*job.overrides, o), replications=p) for o, p in zip(own, parts, strict=True)]
 
 
 def missing_runs(wanted: Iterable[tuple[DictConfig, Stage, list[str]]]) -> list[Job]:
@@ -71,7 +93,7 @@ def _add_stage(jobs: dict[Path, Job], cfg: DictConfig, stage: Stage, overrides: 
     """Add the jobs that make a stage's run and those behind and beside it; None if it is there or given."""
     if not stage.present(cfg) or stage.given(cfg) is not None:
         return None
-    run = stage_folder(cfg, stage, PackedStore.open(open_corpus(cfg)).hash)
+    run = stage_folder(cfg, stage)
     if run.done:
         return None
     if run.path not in jobs:

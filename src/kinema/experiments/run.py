@@ -14,8 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.store import PackedStore
 from kinema.devices import global_rank
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import open_corpus
-from kinema.experiments.identity import fingerprint, stage_identity
+from kinema.experiments.identity import Corpora, corpora, fingerprint, stage_identity
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage, given_run
 from kinema.runs.console import console
@@ -27,18 +26,20 @@ WRITE_SECONDS = 600
 """How long other ranks wait for rank 0 to write a stage's weights before the next stage reads them."""
 
 
-def stage_folder(cfg: DictConfig, stage: Stage, corpus_hash: str) -> RunFolder:
+def stage_folder(cfg: DictConfig, stage: Stage, corpus_of: Corpora | None = None) -> RunFolder:
     """Name the run folder that a configuration's stage has; raises ValueError if it has no such stage."""
     if not stage.present(cfg):
         raise ValueError(f"method {cfg.method.name} has no stage {stage.name}; choose a method= that has one")
-    return run_folder(cfg, stage.name, stage.label(cfg), fingerprint(stage_identity(cfg, stage, corpus_hash)))
+    digest = fingerprint(stage_identity(cfg, stage, corpus_of or corpora(cfg)))
+    return run_folder(cfg, stage.name, stage.label(cfg), stage.split(cfg), stage.seed(cfg), digest)
 
 
-def run_folder(cfg: DictConfig, kind: str, label: str, digest: str) -> RunFolder:
+def run_folder(cfg: DictConfig, kind: str, label: str, split: str | None, seed: int, digest: str) -> RunFolder:
     """Name a run's folder by what it is for; one that ends in the same fingerprint is the same run, however named."""
     folder = Path(f"{cfg.paths.runs}-debug" if cfg.debug.enabled else cfg.paths.runs) / kind
     there = sorted(folder.glob(f"*-{digest}"))
-    words = [label, cfg.data.name, cfg.scale.name, *(["debug"] if cfg.debug.enabled else []), f"s{cfg.seed}", digest]
+    words = [label, cfg.data.name, *([split] if split else []), cfg.scale.name]
+    words += [*(["debug"] if cfg.debug.enabled else []), f"s{seed}", digest]
     return RunFolder(there[0] if there else folder / "-".join(words))
 
 
@@ -59,16 +60,16 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     """
     validate(cfg)
     stage = get_stage(name)
-    store = PackedStore.open(open_corpus(cfg))
-    folder = stage_folder(cfg, stage, store.hash)
+    folder = stage_folder(cfg, stage)
     if folder.done:
         if not quiet:
             console.print(f"cached    {folder.path}")
         return folder
-    check(cfg, stage, store)
+    check(cfg, stage)
     companions = [other for other in companions_of(stage) if other.present(cfg)]
-    needs = {other.name: _made(cfg, other, store, stage) for other in needs_of(stage) if other.present(cfg)}
-    beside = {other.name: _made(cfg, other, store, stage) for other in companions}
+    needs = {other.name: _made(cfg, other, stage) for other in needs_of(stage) if other.present(cfg)}
+    beside = {other.name: _made(cfg, other, stage) for other in companions}
+    store = stage.corpus(cfg)
     if global_rank() > 0:
         return _follow(cfg, stage, store, folder, needs)
     with folder.lock():
@@ -79,20 +80,20 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     return folder
 
 
-def check(cfg: DictConfig, stage: Stage, store: PackedStore) -> None:
+def check(cfg: DictConfig, stage: Stage) -> None:
     """Raise ValueError if a stage, or one that will be made for it, doesn't fit, before any of them is made."""
     for other in (*needs_of(stage), *companions_of(stage)):
-        if other.present(cfg) and given_run(cfg, other) is None and not stage_folder(cfg, other, store.hash).done:
-            check(cfg, other, store)
-    stage.check(cfg, store)
+        if other.present(cfg) and given_run(cfg, other) is None and not stage_folder(cfg, other).done:
+            check(cfg, other)
+    stage.check(cfg, stage.corpus(cfg))
 
 
-def _made(cfg: DictConfig, needed: Stage, store: PackedStore, user: Stage) -> RunFolder:
+def _made(cfg: DictConfig, needed: Stage, user: Stage) -> RunFolder:
     """Return the run that a stage needs; make it, unless `ensure` forbids it."""
     given = given_run(cfg, needed)
     if given is not None:
         return given
-    found = stage_folder(cfg, needed, store.hash)
+    found = stage_folder(cfg, needed)
     if not found.done and not cfg.ensure:
         raise FileNotFoundError(
             f"stage {user.name} needs the {needed.name} run {found.path}, which isn't finished; train it with "

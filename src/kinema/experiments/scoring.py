@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from kinema.atomic import replacing
 from kinema.data.datamodule import MotionDataModule
+from kinema.data.leakage import Nearness
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
@@ -60,6 +61,7 @@ class Scorer:
         judged = (model.representation.kind for model in models.values())
         self.data = self._clips(self.source.dims, *judged)
         self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
+        self.nearness = Nearness.of(self.store)
         sampling = plain(cfg.generator.sampling) if cfg.source == "generation" else None
         self.provenance = {
             "source": cfg.source,
@@ -188,18 +190,22 @@ class Scorer:
         return torch.stack(counts) / len(rows)
 
     def _fields(self, batch: MotionBatch) -> dict[str, list[str]]:
-        """Return the manifest's fields of each clip; of one with many values, whether training saw the value."""
+        """Return the manifest's fields of each clip; of one with many values, whether training saw the value.
+
+        Last what training has of the clip itself and of the caption drawn for it.
+        """
         found = {}
+        entries = [entry for entry, _, _ in batch.crops]
         for field in self.store.fields:
             if field == "licence":
                 continue
-            values = [self.store.entry_field(entry, field) for entry, _, _ in batch.crops]
+            values = [self.store.entry_field(entry, field) for entry in entries]
             if len(self.tested[field]) > MOST_VALUES:
                 seen = ["seen" if value in self.trained[field] else "unseen" for value in values]
                 found[f"{field} seen in training"] = seen
             else:
                 found[field] = values
-        return found
+        return found | self.nearness.fields(entries, batch.texts)
 
     def _values(self, split: str) -> dict[str, set[str]]:
         entries = [int(e) for e in self.store.split_entries(split)]

@@ -8,8 +8,12 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.experiments.benchmark import sections
+from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import CONF, compose, plain
+from kinema.experiments.corpus import corpus_label
 from kinema.experiments.evaluation import Row, describe
+from kinema.experiments.replications import over_seeds
 
 WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
 """Config groups that a table takes from its caller; the rest is the table's own."""
@@ -24,11 +28,38 @@ Results = dict[str, list[dict[str, Any]] | None]
 
 @dataclass(frozen=True)
 class TableRow:
-    """Hold one row: its description, its configuration and where its results are (None: no such method yet)."""
+    """Hold one row: its description, its configuration and where its results are (None: no such method yet).
+
+    A row of several training seeds is several of these, each with its `seed`; None is the caller's.
+    """
 
     spec: dict[str, Any]
     cfg: DictConfig | None
     place: Row | None
+    seed: int | None = None
+
+    @property
+    def overrides(self) -> list[str]:
+        """The overrides that make it of the table's defaults."""
+        return [*row_overrides(self.spec), *self._seed]
+
+    @property
+    def trained(self) -> list[str]:
+        """Those of its overrides that training knows: all that is not about scoring or sampling."""
+        method = [f"method={self.spec['method']}"] if "method" in self.spec else []
+        scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
+        own = [o for o in self.spec.get("overrides", []) if not o.startswith("generator.sampling.")]
+        own = [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
+        return [*method, *own, *self._seed]
+
+    @property
+    def _seed(self) -> list[str]:
+        return [] if self.seed is None else [f"seed={self.seed}"]
+
+    @property
+    def label(self) -> str:
+        """Its label, and its seed where it has one of its own."""
+        return self.spec["label"] if self.seed is None else f"{self.spec['label']} (seed {self.seed})"
 
     @property
     def lines(self) -> list[dict[str, Any]]:
@@ -52,23 +83,42 @@ class TableRow:
         return replace(self, spec={**self.spec, "note": "; ".join(notes)})
 
 
+Group = list[TableRow]
+"""One line of a table: a row, or one row for each of its training seeds."""
+
+
+def grouped(rows: list[TableRow]) -> dict[str, Group]:
+    """Return the table's lines by key."""
+    groups: dict[str, Group] = {}
+    for row in rows:
+        groups.setdefault(row.spec["key"], []).append(row)
+    return groups
+
+
 def load_table(name: str) -> dict[str, Any]:
-    """Read conf/table/NAME.yaml; raises FileNotFoundError naming the tables there are."""
+    """Read conf/table/NAME.yaml; a table `like` another has of it what its own file doesn't say.
+
+    Raises FileNotFoundError naming the tables there are.
+    """
     path = CONF / "table" / f"{name}.yaml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
         raise FileNotFoundError(f"there is no table {name!r}; tables: {known}")
-    return plain(OmegaConf.load(path))
+    own = plain(OmegaConf.load(path))
+    return {**load_table(own.pop("like")), **own} if "like" in own else own
 
 
-def benchmark_columns() -> list[dict[str, Any]]:
-    """Read the columns that every table shows beside its own."""
-    return plain(OmegaConf.load(CONF / "benchmark.yaml"))["columns"]
+def meant_for(table: dict[str, Any], overrides: list[str]) -> bool:
+    """Say whether a table is about the corpus of the overrides; one that names no corpora in `only` is about any."""
+    return "only" not in table or compose(overrides, "evaluate").data.name in table["only"]
 
 
-def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
-    """Compose every row's configuration and find its folder; a row of the other `panel` is left out."""
-    rows = []
+def plan(table: dict[str, Any], overrides: list[str], seeds: int = 1) -> list[TableRow]:
+    """Compose every row's configuration and find its folder; a row of the other `panel` is left out.
+
+    A row that scores what was trained comes once for each of so many training seeds, the caller's `seed` first.
+    """
+    rows: list[TableRow] = []
     overrides = [*overrides, *table.get("overrides", [])]
     for spec in table["rows"]:
         if "source" not in spec:
@@ -77,20 +127,25 @@ def plan(table: dict[str, Any], overrides: list[str]) -> list[TableRow]:
         cfg = compose([*overrides, *row_overrides(spec)], "evaluate")
         if spec.get("panel", PANELS[cfg.data.skeleton]) == PANELS[cfg.data.skeleton]:
             rows.append(TableRow(spec, cfg, describe(cfg)))
+            rows += _further_seeds(rows[-1], overrides, seeds)
     return rows
+
+
+def _further_seeds(first: TableRow, overrides: list[str], seeds: int) -> list[TableRow]:
+    if first.cfg is None or first.place is None or not first.place.subject:
+        return []
+    found = []
+    for seed in range(first.cfg.seed + 1, first.cfg.seed + seeds):
+        row = replace(first, seed=seed)
+        cfg = compose([*overrides, *row.overrides], "evaluate")
+        found.append(replace(row, cfg=cfg, place=describe(cfg)))
+    return found
 
 
 def row_overrides(spec: dict[str, Any]) -> list[str]:
     """Return the overrides that make a row of the defaults."""
     method = [f"method={spec['method']}"] if "method" in spec else []
     return [f"source={spec['source']}", *method, *spec.get("overrides", [])]
-
-
-def trained_by(row: TableRow) -> list[str]:
-    """Return the row's own overrides that training knows: all that is not about scoring or sampling."""
-    scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
-    own = [o for o in row.spec.get("overrides", []) if not o.startswith("generator.sampling.")]
-    return [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
@@ -101,29 +156,33 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     some = next(row.cfg for row in rows if row.cfg is not None)
     panel = PANELS[some.data.skeleton]
     published = table["paper"].get(panel, {})
-    results = with_borrowed(rows, {row.spec["key"]: _results(row) for row in rows})
-    lines = rows
-    rows = [row for row in rows if row.spec.get("shown", True)]
-    filled = {**table, "rows": [_filled(row, published, results[row.spec["key"]]) for row in rows]}
+    groups = grouped(rows)
+    results = with_borrowed([group[0] for group in groups.values()], {key: _results(g) for key, g in groups.items()})
+    shown = {key: group for key, group in groups.items() if group[0].spec.get("shown", True)}
+    filled = {**table, "rows": [_filled(group, published, results[key]) for key, group in shown.items()]}
     filled.pop("paper")
-    beside = {"Beside the paper's metrics": filled.pop("beside", []), "Benchmark": benchmark_columns()}
     filled["panel"] = panel if published else None
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
-    filled["corpus"] = some.data.name
+    filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
-    filled["provenance"] = provenance(lines, command)
-    sections = [_section(title, columns, filled["rows"]) for title, columns in beside.items()]
-    filled["breakdowns"] = [*sections, *_breakdowns(rows, results)]
+    filled["provenance"] = provenance(rows, command)
+    parts = [
+        Parts(group[0].spec, [row.lines for row in group])
+        for key, group in shown.items()
+        if results[key] and "metrics" not in group[0].spec
+    ]
+    filled["breakdowns"] = [*sections(filled.pop("beside", []), filled["rows"]), *breakdowns(parts)]
+    filled["footnotes"] = [*table.get("footnotes", []), *footnotes(parts)]
     motions = {
-        row.spec["key"]: read_samples(row.place.folder.path / "samples.npz")
-        for row in rows
-        if row.place is not None and results[row.spec["key"]] and "metrics" not in row.spec
+        key: read_samples(row.place.folder.path / "samples.npz")
+        for key, (row, *_) in shown.items()
+        if row.place is not None and results[key] and "metrics" not in row.spec
     }
     return render(filled, out, {k: v for k, v in motions.items() if v})
 
 
 def with_borrowed(rows: list[TableRow], results: Results) -> Results:
-    """Give rows the metrics that they borrow from another row, replication by replication.
+    """Give rows the metrics that they borrow from another row, replication by replication (or seed by seed).
 
     `borrow: {row: KEY, metrics: {name here: name there}}`; a row with `shown: false` is there to be borrowed from.
     """
@@ -137,6 +196,10 @@ def with_borrowed(rows: list[TableRow], results: Results) -> Results:
             raise ValueError(f"row {key!r} borrows from {borrow['row']!r}, which is no row; rows: {', '.join(results)}")
         if lent := results[borrow["row"]]:
             taken = [{here: line[there] for here, there in borrow["metrics"].items() if there in line} for line in lent]
+            if len(lent) != len(own):
+                raise ValueError(
+                    f"row {key!r} has {len(own)} results and {borrow['row']!r} {len(lent)}: none to borrow"
+                )
             found[key] = [{**line, **more} for line, more in zip(own, taken, strict=True)]
     return found
 
@@ -176,27 +239,32 @@ def _agreed(values: dict[str, Any]) -> Any:
     return groups[0][0] if len(groups) == 1 else {"; ".join(labels): value for value, labels in groups}
 
 
-def _results(row: TableRow) -> list[dict[str, Any]] | None:
-    """Return the metrics by replication: an empty list where one is missing, None where the method isn't in Kinema."""
-    if row.place is None:
+def _results(group: Group) -> list[dict[str, Any]] | None:
+    """Return the metrics by replication, or of several training seeds the means by seed.
+
+    It is an empty list where one is missing, None where the method isn't in Kinema.
+    """
+    if group[0].place is None:
         return None
-    if not row.complete:
+    if not all(row.complete for row in group):
         return []
-    renamed = row.spec.get("metrics")
-    metrics = [line["metrics"] for line in row.lines]
-    return [{key: m[name] for key, name in renamed.items()} for m in metrics] if renamed else metrics
+    renamed = group[0].spec.get("metrics")
+    found = over_seeds([[line["metrics"] for line in row.lines] for row in group])
+    return [{key: m[name] for key, name in renamed.items()} for m in found] if renamed else found
 
 
-def _filled(row: TableRow, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:
-    spec = row.spec
+def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:
+    row, spec = group[0], group[0].spec
+    notes = [note for one in group if (note := one.spec.get("note", ""))]
     return {
         "key": spec["key"],
         "label": spec["label"],
         "kind": spec["kind"],
-        "note": "; ".join(note for note in (spec.get("note", ""), *_notes(row)) if note),
+        "note": "; ".join(dict.fromkeys(note for note in (*notes, *_notes(row)) if note)),
         "cannot": spec.get("cannot"),
         "published": published.get(spec["key"]),
         "results": results,
+        "seeds": len(group) if len(group) > 1 else None,
     }
 
 
@@ -225,36 +293,3 @@ def _steps_note(row: TableRow) -> str:
         return ""
     chosen = taken if isinstance(taken, int) else f"the steps {taken!r}"
     return f"sampled in {chosen} of its {trained} diffusion steps"
-
-
-def _section(title: str, columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the rows that have something to show in these columns."""
-    keys = {column["key"] for column in columns}
-    shown = [{**row, "published": None} for row in rows if any(keys & line.keys() for line in row["results"] or ())]
-    return {"title": title, "columns": columns, "rows": shown}
-
-
-BREAKDOWN_COLUMNS = [
-    {"key": "n", "label": "clips", "better": "none", "digits": 0},
-    {"key": "r1", "label": "R@1", "better": "higher", "digits": 3},
-    {"key": "r3", "label": "R@3", "better": "higher", "digits": 3},
-    {"key": "matching", "label": "Matching", "better": "lower", "digits": 3},
-]
-
-
-def _breakdowns(rows: list[TableRow], results: Results) -> list[dict[str, Any]]:
-    """Return one table per manifest field: every row's metrics by the field's values."""
-    fields: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        if not results[row.spec["key"]] or "metrics" in row.spec:
-            continue
-        lines = row.lines
-        for name in sorted(lines[0]["breakdowns"]):
-            for value in sorted({v for line in lines for v in line["breakdowns"][name]}):
-                cells = [line["breakdowns"][name][value] for line in lines if value in line["breakdowns"][name]]
-                label = f"{row.spec['label']}: {value}"
-                entry = {"key": f"{row.spec['key']}-{value}", "label": label, "kind": row.spec["kind"], "note": ""}
-                fields.setdefault(name, []).append({**entry, "published": None, "results": cells})
-    return [
-        {"title": f"By {name}", "columns": BREAKDOWN_COLUMNS, "rows": found} for name, found in sorted(fields.items())
-    ]

@@ -54,7 +54,7 @@ def make_model(
         kind=train["data"],
         batch_size=recipe.batch_size,
         window=recipe.window,
-        seed=cfg.seed,
+        seed=stage.seed(cfg),
         steps=recipe.steps,
         num_workers=cfg.data.workers,
         legacy_windows=recipe.legacy_windows,
@@ -87,7 +87,7 @@ def check_options(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> No
 
 def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[Any, dict[str, Any]]:
     """Build a stage's model from its own seed, with the corpus' statistics; returns it and its spec."""
-    torch.manual_seed(training_seed(cfg.seed, "init", stage.name))
+    torch.manual_seed(training_seed(stage.seed(cfg), "init", stage.name))
     spec = stage.spec(cfg)
     model = build(spec)
     for part in model.modules():

@@ -55,7 +55,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Line:
-    """Hold one row, its cells in the order of the columns; what is not `possible` says why in its note."""
+    """Hold one row, its cells in the order of the columns; what is not `possible` says why in its note.
+
+    With `seeds`, its values are those of so many training seeds, each the mean of its replications.
+    """
 
     key: str
     label: str
@@ -64,6 +67,7 @@ class Line:
     replications: int
     implemented: bool
     possible: bool
+    seeds: int | None
     cells: tuple[Cell, ...]
 
     @property
@@ -73,7 +77,9 @@ class Line:
             return "cannot"
         if not self.implemented:
             return "not in Kinema yet"
-        return str(self.replications) if self.replications else "not yet run"
+        if not self.replications:
+            return "not yet run"
+        return f"{self.replications} seeds" if self.seeds else str(self.replications)
 
     @property
     def has_paper(self) -> bool:
@@ -124,7 +130,9 @@ def _line(row: dict[str, Any], columns: tuple[Column, ...], form: Form) -> Line:
     label = row.get("label", row["key"])
     why = row.get("cannot") or ""
     note = why or row.get("note") or ""
-    return Line(row["key"], label, row["kind"], note, len(results), implemented, not why, tuple(cells))
+    return Line(
+        row["key"], label, row["kind"], note, len(results), implemented, not why, row.get("seeds"), tuple(cells)
+    )
 
 
 def _published(value: Any) -> Value | None:

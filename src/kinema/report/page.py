@@ -60,7 +60,7 @@ def _row(content: Grid, line: Line, opens: bool) -> str:
     classes = " ".join(filter(None, [line.kind, "opens" if opens else "", "" if line.replications else "idle"]))
     remarks = [line.note] if line.replications else [line.state, line.note]
     small = "".join(f"<small>{escape(remark)}</small>" for remark in remarks if remark)
-    count = line.replications or ""
+    count = line.state if line.replications else ""
     cells = "".join(_cell(column, cell, line) for column, cell in zip(content.columns, line.cells, strict=True))
     return f"<tr class='{classes}'><th scope='row'>{escape(line.label)}{small}</th><td>{count}</td>{cells}</tr>"
 

@@ -77,10 +77,12 @@ def csv_text(main: Grid) -> str:
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
     names = ("", "_half", "_n", "_paper", "_paper_half")
-    writer.writerow(["key", "label", "kind", "replications", *(c.key + n for c in main.columns for n in names)])
+    writer.writerow(
+        ["key", "label", "kind", "replications", "seeds", *(c.key + n for c in main.columns for n in names)]
+    )
     for line in main.lines:
         numbers = [text for cell in line.cells for text in _csv_cell(cell)]
-        writer.writerow([line.key, line.label, line.kind, line.replications, *numbers])
+        writer.writerow([line.key, line.label, line.kind, line.replications, line.seeds or "", *numbers])
     return file.getvalue()
 
 

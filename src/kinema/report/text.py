@@ -33,6 +33,8 @@ def legend(main: Grid) -> str:
     """Say what the numbers of a table are."""
     how = explain(main.intervals, [line.replications for line in main.lines])
     text = f"Mean ± 95 % interval over n replications ({how}; one replication has none)."
+    if any(line.seeds for line in main.lines):
+        text += " n seeds: over models of that many training seeds, each the mean of its replications."
     return f"{text} Bold: the best method, if its interval overlaps no other method's." if main.marked else text
 
 
@@ -46,6 +48,8 @@ def flags_legend(content: Grid) -> str:
 def effects_legend(main: Grid) -> str:
     """Say what the differences of a table are."""
     how = explain(main.intervals, [line.replications for line in main.lines])
+    if any(line.seeds for line in main.lines):
+        return f"First row minus second, training seed by training seed, and its 95 % interval over them ({how})."
     return (
         f"First row minus second, replication by replication, and its 95 % interval ({how}): over the evaluation's own "
         "draws, not over training seeds."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from kinema.data.catalog import SPLITS
-from kinema.data.doctor import contents, likeness
+from kinema.data.doctor import contents, likeness, nearness
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient, from_folder, from_store
+from kinema.data.origin import read_index
 from kinema.data.store import PackedStore
 from kinema.motion.checks import check_clip
 from kinema.motion.skeleton import SKELETONS
@@ -21,9 +21,9 @@ from kinema.motion.skeleton import SKELETONS
 def diagnose(target: str | Path | PackedStore, *, source: str | Path | None = None) -> list[Finding]:
     """Examine a packed store, a corpus folder (joints or official layout) or one .npy file of joints.
 
-    `source` is the folder that a store was made from: its lists and files are then examined too, and its `index.csv`
-    (HumanML3D: source_path, ..., new_name) tells which clips come from one recording. Raises FileNotFoundError if
-    there is nothing at `target`, or `source` has no split files.
+    `source` is the folder that a store was made from: its lists and files are then examined too. `index.csv` in the
+    folder or beside it tells which clips come from one take; it and the lists are enough for that finding. Raises
+    FileNotFoundError if there is nothing at `target`, or `source` has no split files.
     """
     path = target.path if isinstance(target, PackedStore) else Path(target)
     if path.is_file():
@@ -35,9 +35,8 @@ def diagnose(target: str | Path | PackedStore, *, source: str | Path | None = No
     if source is not None and not any((Path(source) / f"{s}.txt").is_file() for s in SPLITS):
         raise FileNotFoundError(f"source {source} has no train.txt, val.txt or test.txt; pass the corpus folder")
     findings = list(_lists(folder, prepared=packed)) if folder is not None else []
-    index = _read_index(folder) if folder is not None else {}
     try:
-        patient = from_store(path, index) if packed else from_folder(path, index)
+        patient = from_store(path, read_index(folder) if folder is not None else {}) if packed else from_folder(path)
     except (ValueError, FileNotFoundError) as error:
         return [*findings, Finding("error", "unreadable", str(error), "see the message; then examine it again")]
     return findings + list(_examine(patient))
@@ -54,6 +53,8 @@ def _examine(patient: Patient) -> Iterator[Finding]:
         yield from contents.motion(patient, speeds, heights)
         yield from likeness.near_duplicates(patient, poses)
     yield from likeness.leakage(patient)
+    yield from nearness.takes(patient.names, patient.splits, patient.mirrored, patient.origins)
+    yield from nearness.words(patient)
 
 
 def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
@@ -72,6 +73,7 @@ def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
         yield Finding("error", "duplicate names", message, "list every clip once, in one split", repeated)
     motions = next((folder / n for n in ("new_joint_vecs", "joints") if (folder / n).is_dir()), None)
     if motions is None:
+        yield from _listed_takes(folder, where)
         return
     present = {f.relative_to(motions).as_posix().removesuffix(".npy") for f in motions.rglob("*.npy")}
     lacking = tuple(name for name in where if name not in present)
@@ -85,22 +87,19 @@ def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
         yield Finding("info", "unlisted files", message, "add them to a split, if they belong to one", unlisted)
 
 
+def _listed_takes(folder: Path, where: dict[str, list[str]]) -> Iterator[Finding]:
+    """Compare the takes of lists without their motions, as the repository of HumanML3D has them."""
+    index, mirrored = read_index(folder), [name.startswith("M") and name[1:] in where for name in where]
+    origins = [index.get(name[1:] if swapped else name) for name, swapped in zip(where, mirrored, strict=True)]
+    yield from nearness.takes(list(where), [splits[0] for splits in where.values()], mirrored, origins)
+
+
 def _lines(file: Path) -> list[str]:
     return (
         [s for line in file.read_text(encoding="utf-8-sig").splitlines() if (s := line.strip())]
         if file.is_file()
         else []
     )
-
-
-def _read_index(folder: Path) -> dict[str, str]:
-    """Read which recording each clip was cut from; empty if the folder doesn't say."""
-    file = folder / "index.csv"
-    if not file.is_file():
-        return {}
-    with file.open(newline="", encoding="utf-8-sig") as stream:
-        rows = list(csv.DictReader(stream))
-    return {Path(r["new_name"]).stem: r["source_path"] for r in rows if r.get("new_name") and r.get("source_path")}
 
 
 def _one_motion(file: Path) -> Iterator[Finding]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
+from kinema.data.origin import SOURCE_FIELDS
 from kinema.motion.recovery import recover_joints
 
 POSES = 24
@@ -25,7 +26,6 @@ SAME, CLOSE, NEAR = 0.001, 0.01, 0.02
 CLOSE_SHARE = 0.01
 """Share of val/test clips that may have a near-duplicate in training before it is worth a warning."""
 BLOCK = 1024
-SOURCE_FIELDS = ("source clip", "source_clip", "source_path")
 
 
 def sketch(patient: Patient) -> tuple[Float[np.ndarray, "n k"], np.ndarray, np.ndarray]:
@@ -142,9 +142,11 @@ def base_name(name: str, mirrored: bool) -> str:
 
 
 def _recording(patient: Patient, clip: int) -> str:
-    name = patient.names[clip][1:] if patient.mirrored[clip] else patient.names[clip]
-    known = patient.known[clip]
-    return patient.index.get(name) or next((known[f] for f in SOURCE_FIELDS if known.get(f)), "")
+    """Name the recording that a clip was cut from where the corpus says more of it than the clip's name does."""
+    known, origin = patient.known[clip], patient.origins[clip]
+    if origin is not None:
+        return "" if origin.take == base_name(patient.names[clip], patient.mirrored[clip]) else origin.take
+    return next((known[f] for f in SOURCE_FIELDS if known.get(f)), "")
 
 
 def _pair(patient: Patient, one: int, other: int, distance: float) -> str:

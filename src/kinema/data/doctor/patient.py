@@ -10,6 +10,7 @@ import numpy as np
 
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped, read_joints_folder, read_official
 from kinema.data.convert import convert
+from kinema.data.origin import Origin
 from kinema.data.store import PackedStore
 from kinema.motion.skeleton import SKELETONS, Skeleton
 from kinema.motion.statistics import Statistics
@@ -20,8 +21,8 @@ from kinema.types import Caption
 class Patient:
     """Hold a corpus' clips by parallel lists, what was left out of it, and the statistics it brought.
 
-    `rows` gives a clip's full-width features. `known` holds the clip's fields. `index` maps names to the recording
-    they were cut from, where the corpus says so.
+    `rows` gives a clip's full-width features. `known` holds the clip's fields, `origins` the take that it was cut
+    from and where, if the corpus says so.
     """
 
     name: str
@@ -34,34 +35,36 @@ class Patient:
     rows: Callable[[int], np.ndarray]
     dropped: Sequence[Dropped]
     statistics: Statistics | None
-    index: dict[str, str]
+    origins: list[Origin | None]
 
     def __len__(self) -> int:
         return len(self.names)
 
 
-def from_store(path: Path, index: dict[str, str]) -> Patient:
-    """See a packed store."""
+def from_store(path: Path, index: dict[str, Origin]) -> Patient:
+    """See a packed store; what `index` tells of a clip by its unmirrored name comes before what the store does."""
     store = PackedStore.open(path)
     captions: list[list[Caption]] = [[] for _ in range(store.num_clips)]
     for entry, clip in enumerate(store.entries["clip"]):
         captions[clip] += store.entry_captions(entry)
+    names, mirrored = [store.clip_name(i) for i in range(store.num_clips)], store.clips["mirrored"].tolist()
+    bases = [name[1:] if swapped else name for name, swapped in zip(names, mirrored, strict=True)]
     return Patient(
         name=store.name,
         skeleton=store.skeleton,
-        names=[store.clip_name(i) for i in range(store.num_clips)],
+        names=names,
         splits=[SPLITS[i] for i in store.clips["split"]],
-        mirrored=store.clips["mirrored"].tolist(),
+        mirrored=mirrored,
         captions=captions,
         known=[{f: store.clip_field(i, f) for f in store.fields} for i in range(store.num_clips)],
         rows=store.clip_frames,
         dropped=[Dropped(**{k: d[k] for k in ("name", "split", "what", "reason")}) for d in store.dropped],
         statistics=store.statistics,
-        index=index,
+        origins=[index.get(base) or store.clip_origin(i) for i, base in enumerate(bases)],
     )
 
 
-def from_folder(path: Path, index: dict[str, str]) -> Patient:
+def from_folder(path: Path) -> Patient:
     """See a joints folder or an official one; every clip is loaded once. Raises ValueError or FileNotFoundError."""
     skeleton, official = guess_skeleton(path), (path / "new_joint_vecs").is_dir()
     catalog = read_official(path, skeleton.name) if official else read_joints_folder(path)
@@ -77,7 +80,7 @@ def from_folder(path: Path, index: dict[str, str]) -> Patient:
         rows=rows.__getitem__,
         dropped=dropped,
         statistics=catalog.statistics,
-        index=index,
+        origins=[c.origin and c.origin.ending(len(r) + 1) for c, r in zip(clips, rows, strict=True)],
     )
 
 

@@ -15,8 +15,8 @@ class NearestTraining(Metric):
 
     nearest_train: mean distance to it. memorised: share of the motions that are at least as near to it as it is to its
     own nearest other training motion, 1 - authenticity (Alaa et al. 2022, "How faithful is your synthetic data?").
-    `isolation` holds that distance for every training motion; other entries of the same clip and its mirror image must
-    not count as other (`TrainingSet`).
+    `isolation` holds that distance for every training motion; its mirror image and others of the same frames must not
+    count as other (`TrainingSet`).
     """
 
     is_differentiable, full_state_update = False, False

@@ -30,11 +30,14 @@ def kth_distances(rows: Float[Tensor, "n e"], k: int) -> Float[Tensor, " n"]:
     return torch.cat([distances.kthvalue(k + 1, dim=1).values for _, distances in in_parts(rows, rows)])
 
 
-def isolation(rows: Float[Tensor, "n e"], origins: Int[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """Return the distance of each row to the nearest row of another origin; infinity where there is none."""
-    wide = rows.to(torch.float64)
+def isolation(rows: Float[Tensor, "n e"], origins: Int[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """Return the distance of each row to the nearest row of other frames; infinity where there is none.
+
+    `origins` hold each row's take by number and its frames there, the first and the one behind the last.
+    """
+    wide, (take, start, stop) = rows.to(torch.float64), origins.T
     found = []
     for part, distances in in_parts(wide, wide):
-        distances[origins[part, None] == origins] = torch.inf
-        found.append(distances.min(1).values.sqrt())
+        same = (take[part, None] == take) & (start[part, None] < stop) & (start < stop[part, None])
+        found.append(distances.masked_fill(same, torch.inf).min(1).values.sqrt())
     return torch.cat(found).to(rows.dtype)

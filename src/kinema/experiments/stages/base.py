@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
+from kinema.experiments.corpus import open_split
 from kinema.runs.folder import RunFolder
 from kinema.runs.latest import find_run
 from kinema.runs.parts import upstream
@@ -63,6 +64,18 @@ class Stage:
         """Return the run that the configuration names in place of its own: a part of the run that `run=` names."""
         run = asked_for(cfg)
         return None if run is None else upstream(run).get(self.name)
+
+    def seed(self, cfg: DictConfig) -> int:
+        """Return the seed of its weights and draws."""
+        return cfg.seed
+
+    def split(self, cfg: DictConfig) -> str | None:
+        """Name the split of the corpus that it learns from; None is the corpus' own."""
+        return cfg.data.options.get("split")
+
+    def corpus(self, cfg: DictConfig) -> PackedStore:
+        """Open the corpus that it learns from."""
+        return PackedStore.open(open_split(cfg, self.split(cfg)))
 
     def scored(self, cfg: DictConfig) -> bool:
         """Say whether an evaluation scores the motion that this stage's run makes."""

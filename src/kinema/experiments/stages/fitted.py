@@ -74,7 +74,7 @@ class FittedStage(Stage):
         """Wire the model to what its loss reads; by default motion alone."""
         from kinema.training.modules import MotionModule
 
-        return MotionModule(model, recipe, cfg.seed)
+        return MotionModule(model, recipe, self.seed(cfg))
 
     def callbacks(
         self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path

@@ -25,6 +25,14 @@ class EvaluatorStage(FittedStage):
         """Name the evaluator and its dims."""
         return f"evaluator_{cfg.evaluator.name}-{cfg.evaluator.representation}"
 
+    def seed(self, cfg: DictConfig) -> int:
+        """Return the evaluators' own seed: runs of other seeds are judged by the same ones."""
+        return cfg.evaluator.seed
+
+    def split(self, cfg: DictConfig) -> str | None:
+        """Name the split that evaluators learn from, however the corpus is divided for methods."""
+        return cfg.evaluator.split
+
     def dims(self, cfg: DictConfig) -> str:
         """Name the columns that the evaluator reads."""
         return cfg.evaluator.representation

@@ -1,0 +1,36 @@
+"""Measure what no table shows: `kinema reproduce NAME` for a file of conf/page, carried out by the module NAME."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+from omegaconf import OmegaConf
+
+from kinema.experiments.config import CONF, plain
+from kinema.experiments.request import Request
+
+
+class Author(Protocol):
+    """Make one page: what the module of its name is."""
+
+    def carry_out(self, page: dict[str, Any], request: Request) -> list[Path]:
+        """Make what is missing unless `request.render_only`, measure, and write the page; returns what it wrote."""
+
+
+def pages() -> list[str]:
+    """Name the pages there are."""
+    return sorted(path.stem for path in (CONF / "page").glob("*.yaml"))
+
+
+def load_page(name: str) -> dict[str, Any]:
+    """Read conf/page/NAME.yaml."""
+    return {"name": name, **plain(OmegaConf.load(CONF / "page" / f"{name}.yaml"))}
+
+
+def make_page(request: Request) -> list[Path]:
+    """Carry out what a page asks for, and return what was written."""
+    request.refuse_options_of_tables()
+    author = cast(Author, importlib.import_module(f"{__name__}.{request.name}"))
+    return author.carry_out(load_page(request.name), request)

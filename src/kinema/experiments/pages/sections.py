@@ -1,0 +1,99 @@
+"""Write what a page measured: each part a CSV and a plot, all parts on one page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.markup import escape
+
+from kinema.atomic import replacing, write_text
+from kinema.motion.view.draw import new_figure
+from kinema.report.text import flatten
+from kinema.runs.console import console
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Rows = list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Hold one part: all rows (CSV), those on the page, and what draws it, in how many inches."""
+
+    name: str
+    rows: Rows
+    shown: Rows
+    draw: Callable[[Figure], None]
+    inches: tuple[float, float] = field(default=(9.0, 4.0))
+
+
+def write_page(page: dict[str, Any], sections: list[Section], provenance: dict[str, Any], out: Path) -> list[Path]:
+    """Write NAME.csv and, where matplotlib is installed, NAME.png of each section, and README.md.
+
+    `page` holds the page's `title` and `lead`, and title and text of every section by its name.
+    """
+    written, blocks = [], [f"# {page['title']}", page["lead"].strip()]
+    for section in sections:
+        about = page["sections"][section.name]
+        written.append(write_text(out / f"{section.name}.csv", csv_text(section.rows)))
+        blocks += [f"## {about['title']}", about["text"].strip()]
+        try:
+            written.append(_draw(section, out / f"{section.name}.png"))
+            blocks.append(f"![{about['title']}]({section.name}.png)")
+        except ImportError as error:
+            console.print(f"[yellow]note[/]      no figure {section.name}: {escape(str(error))}")
+        blocks += [markdown(section.shown), f"All numbers: [{section.name}.csv]({section.name}.csv)."]
+    facts = "\n".join(f"- {key}: `{value}`" for key, value in flatten(provenance))
+    return [*written, write_text(out / "README.md", "\n\n".join([*blocks, "## Provenance", facts]) + "\n")]
+
+
+def csv_text(rows: Rows) -> str:
+    """Write rows as CSV; a key that a row lacks is an empty cell."""
+    file = io.StringIO()
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    writer = csv.DictWriter(file, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({key: _rounded(value) for key, value in row.items()} for row in rows)
+    return file.getvalue()
+
+
+def markdown(rows: Rows) -> str:
+    """Write rows as a Markdown table, numbers to three digits."""
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    lines = [names, ["---"] * len(names), *([_cell(row.get(name)) for name in names] for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def pivot(rows: Rows, column: str, value: str, keys: Sequence[str]) -> Rows:
+    """Return a row for each combination of `keys`, with what `column` names as columns that hold `value`."""
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for row in rows:
+        own = {key: row[key] for key in keys}
+        found.setdefault(tuple(own.values()), own)[row[column]] = row[value]
+    return list(found.values())
+
+
+def _draw(section: Section, path: Path) -> Path:
+    figure = new_figure(*section.inches, dpi=120)
+    section.draw(figure)
+    figure.tight_layout()
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", metadata={"Software": None})
+    return path
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
