@@ -18,6 +18,7 @@ from kinema.data.store import PackedStore
 from kinema.evaluation.cache import EmbeddingCache
 from kinema.evaluation.encoders.base import TextMotionEvaluator
 from kinema.evaluation.metrics.neighbours import isolation
+from kinema.evaluation.scores import metric_device
 from kinema.evaluation.sources import UNIT
 from kinema.types import MotionBatch
 
@@ -37,7 +38,7 @@ class TrainingSet:
     def embedded(cls, store: PackedStore, evaluator: TextMotionEvaluator, cache: EmbeddingCache) -> TrainingSet:
         """Embed every entry of the train split, whole, or read what was embedded before."""
         shelf = cache.training(evaluator.identity())
-        device = evaluator.representation.mean.device
+        device = metric_device(evaluator.representation.mean.device)
         entries = store.split_entries("train", captions_required=False)
         # Batches of about one length hold little padding.
         entries = entries[np.argsort(store.entries["frames"][entries], kind="stable")]
