@@ -12,6 +12,7 @@ import pytest
 from kinema.data.leakage import CAPTION, FRAMES, TAKE
 from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments import evaluation, reproduce, tables
+from kinema.experiments.benchmark import benchmark_columns, sections
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.jobs import JobsFailedError, missing_jobs
@@ -75,6 +76,38 @@ def test_rendering_twice_gives_the_same_bytes(complete, table, micro_tables, tmp
     assert float(row_of(first["table.csv"], "real")["fid"]) == pytest.approx(0, abs=1e-3)
     assert float(row_of(first["table.csv"], "halves")["fid"]) > 0
     assert row_of(first["table.csv"], "halves")["r1"] == ""  # a row of one metric
+
+
+def test_the_benchmark_stands_below_every_table(complete, table, micro_tables, tmp_path):
+    text = rendered(table, micro_tables, tmp_path)["table.md"]
+    section = text.split("## Benchmark\n\n")[1].split("\n\n")[0].splitlines()
+    labels = [column["label"] for column in benchmark_columns()]
+    assert [heading.strip(" ↑↓→") for heading in section[0].split("|")[3:-1]] == labels
+    cells = {line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[3:-1]] for line in section[2:]}
+    assert "MARDM-SiT" in cells
+    assert "Real half against half" not in cells  # a row of one metric
+    for label, row in cells.items():
+        assert not {"", "–"} & set(row), label
+    assert cells["Real motion"][0].startswith("1.000")
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in (CONF / "table").glob("*.yaml")))
+def test_no_column_stands_twice(name):
+    described = load_table(name)
+    keys = [c["key"] for c in (*described["columns"], *described.get("beside", []), *benchmark_columns())]
+    assert sorted(keys) == sorted(set(keys))
+
+
+def test_rows_that_were_scored_before_the_benchmark_leave_it_empty():
+    rows = [{"key": key, "label": key, "kind": "method", "note": ""} for key in "abcd"]
+    results = [[{"jitter": 1.0, "fid": 2.0}], [{"jitter": 3.0, "coverage": 0.5}], [{"fid": 1.0}], []]
+    filled = [{**row, "results": found} for row, found in zip(rows, results, strict=True)]
+    none, section = sections([], filled)
+    assert none["rows"] == []
+    assert [row["key"] for row in section["rows"]] == ["a", "b"]
+    lines = grid(section).lines
+    at = [column["key"] for column in benchmark_columns()].index("coverage")
+    assert [line.cells[at].ours is None for line in lines] == [True, False]
 
 
 def test_methods_that_are_missing_say_so(complete, table, micro_tables, tmp_path):

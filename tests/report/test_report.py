@@ -128,6 +128,26 @@ def test_a_table_of_several_judges_marks_no_best_and_speaks_of_none(table, tmp_p
     assert "**" not in files["table.md"]
 
 
+def test_a_value_above_its_columns_bound_is_marked_and_the_mark_explained(table, tmp_path):
+    bound = {"above": 0.505, "means": "better than <real>"}
+    table["columns"] = [{**COLUMNS[0], "flag": bound}, COLUMNS[1]]
+    files = texts(table, tmp_path)
+    assert "| A | 2 | 0.510 ± 0.127 † |" in files["table.md"]
+    assert "| B_% | 2 | 0.520 ± 0.127 † |" in files["table.md"]
+    assert "† above 0.505: better than <real>." in files["table.md"]
+    assert r"$0.510 \pm 0.127^{\dagger}$" in files["table.tex"]
+    assert "<sup title='better than &lt;real&gt;'>†</sup>" in files["index.html"]
+    assert "<p class='small'>† above 0.505: better than &lt;real&gt;.</p>" in files["index.html"]
+    assert "†" not in files["table.csv"]
+    table["breakdowns"] = [{"title": "Beside", "columns": table["columns"], "rows": [table["rows"][1]]}]
+    table["columns"] = COLUMNS
+    files = texts(table, tmp_path)
+    for text in (files["table.md"], files["index.html"]):
+        assert text.count("† above 0.505") == 1
+    bound["above"] = 2
+    assert "†" not in "".join(texts(table, tmp_path).values())
+
+
 def test_missing_rows_say_so(table, tmp_path):
     files = texts(table, tmp_path)
     assert "| C | not yet run |  |  |" in files["table.md"]

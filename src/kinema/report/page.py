@@ -8,12 +8,12 @@ from typing import Any
 from kinema.motion.view.html import page, viewer_script, viewer_style
 from kinema.report.assets import asset
 from kinema.report.cards import limits_list, run_cards
-from kinema.report.cells import Cell, Column, Grid, Line
+from kinema.report.cells import FLAG, Cell, Column, Grid, Line
 from kinema.report.content import Content
 from kinema.report.effects import HEADINGS
 from kinema.report.gallery import gallery, gallery_script, group_of
 from kinema.report.plots import metric_plots
-from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notice, unfinished
+from kinema.report.text import EFFECTS, effects_legend, flags_legend, flatten, legend, notice, unfinished
 
 _MARKS = ("Limits", "Plots", "Motions", "Runs", "Provenance")  # parts that the navigation leads to
 _FOLD = 12  # a breakdown of more rows starts folded
@@ -29,6 +29,7 @@ def html_page(content: Content, home: str | None = None) -> str:
         f"<p class='notice {tone}'>{escape(notice(table))}</p>",
         _table(main),
         f"<p class='small'>{escape(legend(main))} Grey, marked: the paper's.</p>",
+        _flags(main),
         _notes(table, main),
         _effects(content),
         limits_list(table),
@@ -89,6 +90,8 @@ def _row(content: Grid, line: Line, opens: bool) -> str:
 
 def _cell(column: Column, cell: Cell, line: Line) -> str:
     ours = _value(cell.ours.text(column.digits)) if cell.ours else "–" if line.replications else "&nbsp;"
+    if cell.flagged and column.flag:
+        ours += f"<sup title='{escape(column.flag.means, quote=True)}'>{FLAG}</sup>"
     best = " class='best'" if cell.best else ""
     paper = f"<span class='paper'>{_value(cell.paper.text(column.digits))}</span>" if cell.paper else ""
     numbers = "".join(
@@ -101,6 +104,11 @@ def _cell(column: Column, cell: Cell, line: Line) -> str:
 def _value(text: str) -> str:
     mean, _, half = text.partition(" ± ")
     return f"{mean}<i> ± {half}</i>" if half else mean
+
+
+def _flags(content: Grid) -> str:
+    text = flags_legend(content)
+    return f"<p class='small'>{escape(text)}</p>" if text else ""
 
 
 def _notes(table: dict[str, Any], main: Grid) -> str:
@@ -137,7 +145,7 @@ def _plots(main: Grid) -> str:
 
 def _breakdown(title: str, content: Grid) -> str:
     state = "" if len(content.lines) > _FOLD else " open"
-    return f"<details{state}><summary><h2>{escape(title)}</h2></summary>\n{_table(content)}</details>"
+    return f"<details{state}><summary><h2>{escape(title)}</h2></summary>\n{_table(content)}{_flags(content)}</details>"
 
 
 def provenance_list(provenance: dict[str, Any]) -> str:

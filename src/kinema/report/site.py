@@ -11,13 +11,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinema.atomic import write_text
-from kinema.report.cells import Cell, Grid, Line
+from kinema.report.cells import FLAG, Cell, Column, Grid, Line
 from kinema.report.content import content_of
 from kinema.report.effects import HEADINGS, Effect
 from kinema.report.effects import csv_text as effects_csv
 from kinema.report.packs import sweep, write_pack
 from kinema.report.page import html_page
-from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notes_by_text, notice, unfinished
+from kinema.report.text import (
+    EFFECTS,
+    effects_legend,
+    flags_legend,
+    flatten,
+    legend,
+    notes_by_text,
+    notice,
+    unfinished,
+)
 
 if TYPE_CHECKING:
     from kinema.types import Motion
@@ -54,6 +63,7 @@ def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[M
 def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]], seen: Sequence[Effect] = ()) -> str:
     """Write the whole report but the motions."""
     parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), legend(main)]
+    parts += filter(None, [flags_legend(main)])
     notes = [f"- {note}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))]
     if notes:
         parts += ["## Notes", "\n".join(notes)]
@@ -61,7 +71,7 @@ def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid
         rows = [HEADINGS, ("---", "---", "--:", "--:", "---"), *(effect.cells for effect in seen)]
         parts += [f"## {EFFECTS}", effects_legend(main), "\n".join(f"| {' | '.join(row)} |" for row in rows)]
     for title, content in breakdowns:
-        parts += [f"## {title}", _markdown_grid(content)]
+        parts += [f"## {title}", _markdown_grid(content), *filter(None, [flags_legend(content)])]
     facts = flatten(table.get("provenance", {}))
     if facts:
         parts += ["## Provenance", "\n".join(f"- {key}: `{value}`" for key, value in facts)]
@@ -126,10 +136,12 @@ def _markdown_grid(content: Grid) -> str:
 
 
 def _ours(content: Grid, line: Line) -> list[tuple[str, bool]]:
-    return [
-        (cell.ours.text(column.digits) if cell.ours else "", cell.best)
-        for column, cell in zip(content.columns, line.cells, strict=True)
-    ]
+    return [(_our_text(column, cell), cell.best) for column, cell in zip(content.columns, line.cells, strict=True)]
+
+
+def _our_text(column: Column, cell: Cell) -> str:
+    text = cell.ours.text(column.digits) if cell.ours else ""
+    return f"{text} {FLAG}" if cell.flagged else text
 
 
 def _paper(content: Grid, line: Line) -> list[str]:
@@ -153,7 +165,8 @@ def _tex_ours(cell: tuple[str, bool], line: Line) -> str:
 
 
 def _tex_value(text: str) -> str:
-    return text if text == "not finite" else f"${text.replace('±', chr(92) + 'pm')}$"
+    signs = text.replace("±", r"\pm").replace(f" {FLAG}", r"^{\dagger}")
+    return text if text == "not finite" else f"${signs}$"
 
 
 def _tex(text: str) -> str:
