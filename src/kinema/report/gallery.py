@@ -26,6 +26,11 @@ def group_of(table: dict[str, Any], place: str = "") -> Group | None:
     return {"title": table["title"], "where": where, "sources": sources} if sources else None
 
 
+def moved(group: Group, place: str) -> Group:
+    """Return a group as it is seen from a page of which its own is in the folder `place`."""
+    return {**group, "sources": [{**source, "pack": place + source["pack"]} for source in group["sources"]]}
+
+
 def gallery(groups: Sequence[Group]) -> str:
     """Return the section; its players are made by gallery.js and read their motions when they come into view."""
     if not groups:

@@ -9,7 +9,7 @@ from typing import Any
 
 from kinema.atomic import write_text
 from kinema.report.content import Content, content_of
-from kinema.report.gallery import gallery, group_of
+from kinema.report.gallery import gallery, group_of, moved
 from kinema.report.page import document, html_page
 from kinema.report.sections import sections_page
 from kinema.report.text import PAPER_CORPORA
@@ -32,6 +32,7 @@ def write_site(reports: str | Path) -> list[Path]:
     if not (tables or pages or others):
         raise FileNotFoundError(f"{reports} holds no report; make one: `kinema reproduce table5`")
     groups = [g for name, content in tables.items() if (g := group_of(content.table, f"{name}/"))]
+    groups += [moved(told["motions"], f"{name}/") for name, told in pages.items() if "motions" in told]
     parts = [
         f"<header class='kinema-page-head'><h1>{TITLE}</h1></header>",
         _tables(tables),

@@ -6,15 +6,17 @@ import math
 from html import escape
 from typing import Any
 
+from kinema.report.gallery import gallery
 from kinema.report.page import document, provenance_list
 
 
 def sections_page(told: dict[str, Any], home: str | None = None) -> str:
-    """Return the document: title, lead, sections (name, title, text, image, rows) and provenance."""
+    """Return the document: title, lead, sections (name, title, text, image, rows), motions and provenance."""
     parts = [
         f"<header class='kinema-page-head'><h1>{escape(told['title'])}</h1></header>",
         _text(told["lead"]),
         *(_section(section) for section in told["sections"]),
+        gallery([told["motions"]] if "motions" in told else []),
         provenance_list(told["provenance"]),
     ]
     return document(told["title"], parts, home)
