@@ -82,7 +82,11 @@ MACHINE = [
     "trainer.log_every=1",
     "data.workers=7",
     "logger=wandb",
+    "logger.group=mine",
+    "logger.artifacts=true",
     "callbacks.samples_every=3",
+    "callbacks.score_every=3",
+    "callbacks.score_clips=64",
     "paths.runs=elsewhere",
     "paths.stores=elsewhere",
     "paths.cache=elsewhere",
@@ -101,6 +105,32 @@ MACHINE = [
 def test_machine_and_bookkeeping_change_nothing(stage, plain_names):
     fits = [o for o in MACHINE if stage not in UNTRAINED or not o.startswith("tokenizer.train")]
     assert named(stage, *fits) == plain_names[stage]
+
+
+BY_FID = ["method=momask", "generator.train.select=fid", "callbacks.score_every=5"]
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "generator.train.select=last",
+        "callbacks.score_every=9",
+        "callbacks.score_clips=64",
+        "generator.sampling.temperature=0.9",
+        "evaluator=redundant",
+        "evaluator.matching.train.lr=1",
+        "evaluator.decomposition.train.steps=201",
+        "residual.train.steps=301",
+        "scale.protocol.pool=8",
+    ],
+)
+def test_what_chooses_the_weights_is_part_of_the_name(override):
+    assert named("generator", *BY_FID, override) != named("generator", *BY_FID)
+
+
+def test_what_chooses_nothing_is_not_part_of_the_name():
+    observing = ["generator.train.validate_every=7", "callbacks.samples_every=3", "evaluator.contrastive.train.lr=1"]
+    assert named("generator", *BY_FID, *observing, "scale.protocol.replications=9") == named("generator", *BY_FID)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_a_finished_run_is_given_back_untouched(micro, monkeypatch):
     with console.capture() as said:
         again = run_stage(compose([*micro, "trainer.log_every=7", "data.workers=3"]), "generator")
     assert again.path == first.path
-    assert said.get() == f"cached    {first.path}\n"
+    assert said.get() == f"cached    {first.path}\ndashboard {first.path / 'logs' / 'csv'}\n"
     assert files == {p: p.stat().st_mtime_ns for p in first.path.rglob("*") if p.is_file()}
 
 

@@ -19,7 +19,7 @@ from kinema.experiments.jobs import JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
 
-FILES = ("table.md", "table.csv", "table.tex", "index.html")
+FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
 COMMAND = "make reproduce-table5"
 
 
@@ -133,10 +133,11 @@ def test_the_table_names_what_it_rests_on(complete, table, micro_tables, tmp_pat
 
 def test_clips_are_told_apart_by_captions_that_training_has(complete, table, micro_tables):
     for line in plan(table, micro_tables)[0].place.lines:
-        parts = {value: part["n"] for value, part in line["breakdowns"][CAPTION].items()}
-        assert parts.keys() == {"seen", "unseen"}
-        assert sum(parts.values()) == line["metrics"]["n"]
-        assert not {TAKE, FRAMES} & line["breakdowns"].keys()  # a generated corpus has no takes
+        # A generated corpus repeats no sentence and has no takes.
+        assert {value: part["n"] for value, part in line["breakdowns"][CAPTION].items()} == {
+            "unseen": line["metrics"]["n"]
+        }
+        assert not {TAKE, FRAMES} & line["breakdowns"].keys()
 
 
 def test_a_corpus_of_no_paper_stands_beside_the_panel_of_its_skeleton(micro_tables, tmp_path):
@@ -337,3 +338,20 @@ def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):
     with pytest.raises(SystemExit) as stopped:
         reproduce.main(["table5"])
     assert str(stopped.value).startswith("error: there is no table 'table5'")
+
+
+def test_the_runs_behind_a_table_are_told_without_a_path_of_this_machine(complete, table, micro_tables, tmp_path):
+    told = json.loads(rendered(table, micro_tables, tmp_path)["table.json"])
+    runs = {run["name"]: run for run in told["runs"]}
+    (row,) = [row for row in plan(table, micro_tables) if row.spec["key"] == "mardm_sit"]
+    for stage, path in row.place.runs.items():
+        run = runs[path.name]
+        assert run["stage"] == stage
+        assert row.spec["label"] in run["rows"]
+        assert run["facts"]["parameters"] > 0
+        assert run["curves"], stage
+    generator = runs[row.place.runs["generator"].name]
+    assert "MARDM" in generator["config"]["generator"]["model"]["_target_"]
+    assert generator["facts"]["from tokenizer"] in runs
+    assert str(tmp_path.parent) not in json.dumps(told["runs"])
+    assert set(told["motions"]) >= {"real", "mardm_sit", "shuffled"}

@@ -76,7 +76,7 @@ def test_workers_give_the_same_weights(brief, tmp_path):
     [
         ("csv", ["logs/csv/metrics.csv"]),
         ("tensorboard", ["logs/csv/metrics.csv", "logs/tensorboard/events.out.tfevents.*"]),
-        ("wandb", ["logs/csv/metrics.csv", "wandb/offline-run-*/*.wandb"]),
+        ("wandb", ["logs/csv/metrics.csv", "logs/wandb/offline-run-*/*.wandb"]),
         ("none", []),
     ],
 )

@@ -16,6 +16,7 @@ from kinema.atomic import write_text
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.dashboards import check_logger, show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
@@ -137,6 +138,7 @@ def run_evaluation(cfg: DictConfig) -> Row:
     row = describe(cfg)
     if not row.missing:
         console.print(f"cached    {row.folder.path}")
+        show_results(cfg, row.folder, anew=False)
         return row
     for stage in _unfinished(cfg, row):
         run_stage(cfg, stage.name, quiet=True)
@@ -152,11 +154,14 @@ def run_evaluation(cfg: DictConfig) -> Row:
         raise
     if len(row.lines) == row.replications:
         row.folder.mark("done", versions=versions())
+        with row.folder.lock():
+            show_results(cfg, row.folder, anew=True)
     return row
 
 
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
+    check_logger(cfg)
     _check_judges(cfg, row)
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)

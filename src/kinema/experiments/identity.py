@@ -11,7 +11,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import plain
-from kinema.experiments.stages import needs_of
+from kinema.experiments.stages import companions_of, needs_of
 from kinema.experiments.stages.base import Stage
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import TEXT, upstream
@@ -53,6 +53,18 @@ def stage_identity(cfg: DictConfig, stage: Stage, corpus_of: Corpora) -> dict[st
         "settings": stage.settings(cfg),
         "reads": {key: plain(OmegaConf.select(cfg, key)) for key in stage.reads},
         "upstream": {other.name: _upstream(cfg, other, corpus_of) for other in needs_of(stage) if other.present(cfg)},
+        **({"selection": _selection(cfg, stage, corpus_of)} if stage.selects(cfg) else {}),
+    }
+
+
+def _selection(cfg: DictConfig, stage: Stage, corpus_of: Corpora) -> dict[str, Any]:
+    """Collect what chooses a stage's weights: how motion is scored, and the runs that judge and complete it."""
+    behind = [other for other in (*stage.watched_by(cfg), *companions_of(stage)) if other.present(cfg)]
+    return {
+        "scores": {key: cfg.callbacks[key] for key in ("score_every", "score_clips")},
+        "sampling": plain(OmegaConf.select(cfg, f"{stage.node}.sampling")),
+        "protocol": {key: cfg.scale.protocol[key] for key in ("pool", "leftover", "seed")},
+        "runs": {other.name: fingerprint(stage_identity(cfg, other, corpus_of)) for other in behind},
     }
 
 

@@ -97,7 +97,8 @@ def _add_stage(jobs: dict[Path, Job], cfg: DictConfig, stage: Stage, overrides: 
     if run.done:
         return None
     if run.path not in jobs:
-        wanted = (_add_stage(jobs, cfg, other, overrides) for other in (*needs_of(stage), *companions_of(stage)))
+        before = (*needs_of(stage), *companions_of(stage), *stage.watched_by(cfg))
+        wanted = (_add_stage(jobs, cfg, other, overrides) for other in before)
         reads = frozenset(path for path in wanted if path is not None)
         jobs[run.path] = Job(TRAIN, (f"stage={stage.name}", *overrides), run.path, reads)
     return run.path

@@ -10,12 +10,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from kinema.experiments.dashboards import show_table
+from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.multirun import run_multiruns
 from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
+from kinema.report.index import write_site
 from kinema.report.intervals import FORMS
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -52,7 +55,8 @@ def main(arguments: list[str] | None = None) -> None:
 def reproduce(name: str, overrides: list[str], **options: Any) -> None:
     """Run what a table or page lacks and render it; options as of Request.
 
-    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised.
+    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised. Without `out` the
+    report goes to reports/, and the site over all that lies there is written anew.
     """
     request = Request(name, tuple(overrides), **options)
     if name in pages():
@@ -63,6 +67,8 @@ def reproduce(name: str, overrides: list[str], **options: Any) -> None:
             console.print(f"wrote     {path}")
     else:
         _reproduce_table(load_table(name), request)
+    if request.out is None and not request.plan:
+        write_site("reports")
 
 
 def _reproduce_table(table: dict[str, Any], request: Request) -> None:
@@ -78,13 +84,16 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     failure: JobsFailedError | None = None
     if not request.render_only and any(row.cfg is not None and not row.complete for row in rows):
         try:
-            run_missing(rows, table.get("overrides", []), request)
+            run_missing(rows, [*table.get("overrides", []), f"logger.group={request.name}"], request)
         except JobsFailedError as error:
             failure = error
         rows = plan(table, request.shared, request.seeds)
         rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
-    for path in render_table(table, rows, request.folder(), request.command):
+    written = render_table(table, rows, request.folder(), request.command)
+    for path in written:
         console.print(f"wrote     {path}")
+    some = next(row.cfg for row in rows if row.cfg is not None)
+    show_table(some, request.name, fingerprint(request.command), written)
     lacking = [row.label for row in rows if row.cfg is not None and not row.complete]
     if lacking:
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.store import PackedStore
 from kinema.devices import global_rank
 from kinema.experiments.config import plain, validate
+from kinema.experiments.dashboards import show_run
 from kinema.experiments.identity import Corpora, corpora, fingerprint, stage_identity
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage, given_run
@@ -64,11 +65,14 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
     if folder.done:
         if not quiet:
             console.print(f"cached    {folder.path}")
+            show_run(cfg, folder, name)
         return folder
     check(cfg, stage)
     companions = [other for other in companions_of(stage) if other.present(cfg)]
     needs = {other.name: _made(cfg, other, stage) for other in needs_of(stage) if other.present(cfg)}
     beside = {other.name: _made(cfg, other, stage) for other in companions}
+    for other in stage.watched_by(cfg):
+        _own(cfg, other, stage)
     store = stage.corpus(cfg)
     if global_rank() > 0:
         return _follow(cfg, stage, store, folder, needs)
@@ -82,7 +86,7 @@ def run_stage(cfg: DictConfig, name: str, *, quiet: bool = False) -> RunFolder:
 
 def check(cfg: DictConfig, stage: Stage) -> None:
     """Raise ValueError if a stage, or one that will be made for it, doesn't fit, before any of them is made."""
-    for other in (*needs_of(stage), *companions_of(stage)):
+    for other in (*needs_of(stage), *companions_of(stage), *stage.watched_by(cfg)):
         if other.present(cfg) and given_run(cfg, other) is None and not stage_folder(cfg, other).done:
             check(cfg, other)
     stage.check(cfg, stage.corpus(cfg))
@@ -91,8 +95,11 @@ def check(cfg: DictConfig, stage: Stage) -> None:
 def _made(cfg: DictConfig, needed: Stage, user: Stage) -> RunFolder:
     """Return the run that a stage needs; make it, unless `ensure` forbids it."""
     given = given_run(cfg, needed)
-    if given is not None:
-        return given
+    return _own(cfg, needed, user) if given is None else given
+
+
+def _own(cfg: DictConfig, needed: Stage, user: Stage) -> RunFolder:
+    """Return the run that the configuration itself describes."""
     found = stage_folder(cfg, needed)
     if not found.done and not cfg.ensure:
         raise FileNotFoundError(

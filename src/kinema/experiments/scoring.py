@@ -116,7 +116,7 @@ class Scorer:
         return (batch.to(self.device) for batch in batches)
 
     def save_samples(self, path: Path, result: ReplicationResult) -> None:
-        """Keep a few motions of the replication as joints."""
+        """Keep a few motions of the replication as joints, of edits with the frames that were kept."""
         batch = result.samples
         if batch is None:
             return
@@ -124,6 +124,9 @@ class Scorer:
         joints = recover_joints(batch.features[:count].float().cpu(), self.store.skeleton).numpy()
         arrays = {f"joints{i}": joints[i, : int(batch.lengths[i])].astype(np.float32) for i in range(count)}
         arrays |= {"texts": np.array(batch.texts[:count]), "skeleton": np.array(self.store.skeleton.name)}
+        kept = self.source.kept(batch.lengths[:count])
+        if kept is not None:
+            arrays |= {f"kept{i}": row[: int(batch.lengths[i])].cpu().numpy() for i, row in enumerate(kept)}
         with replacing(path) as temporary:
             np.savez(temporary, allow_pickle=False, **arrays)
 

@@ -149,7 +149,8 @@ def row_overrides(spec: dict[str, Any]) -> list[str]:
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
-    """Write table.md, table.csv, table.tex and index.html; an incomplete row's cells stay empty."""
+    """Write the report of a table (report/site.py); an incomplete row's cells stay empty."""
+    from kinema.experiments.cards import run_cards
     from kinema.report.motions import read_samples
     from kinema.report.site import render
 
@@ -166,6 +167,7 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(rows, command)
+    filled["runs"] = run_cards(rows)
     parts = [
         Parts(group[0].spec, [row.lines for row in group])
         for key, group in shown.items()

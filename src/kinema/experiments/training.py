@@ -14,6 +14,7 @@ from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.devices import find_device, global_rank
 from kinema.experiments.config import plain
+from kinema.experiments.dashboards import check_logger, training_dashboards
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
@@ -26,9 +27,9 @@ from kinema.runs.folder import RunFolder
 from kinema.seeds import training_seed
 from kinema.training.fit import Machine, fit
 from kinema.training.latents import latent_source
-from kinema.training.loggers import check_names, loggers
 from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
+from kinema.training.record import Record
 from kinema.types import Latents, MotionBatch
 
 NUMBERS = ("steps", "epochs", "batch_size", "lr", "weight_decay", "warmup", "validate_every", "checkpoint_every")
@@ -60,23 +61,25 @@ def make_model(
         legacy_windows=recipe.legacy_windows,
         dims=stage.dims(cfg),
     )
-    callbacks = stage.callbacks(cfg, module, store, needs, folder.path / "samples")
-    config, logger = plain(cfg), plain(cfg.logger)
-    with loggers(logger.pop("names"), folder.path, **logger, config=config) as attached:
-        fitted = fit(module, data, folder.path, machine, callbacks=callbacks, loggers=attached)
-    if global_rank() == 0:
-        model.load_state_dict(fitted.weights)
-        meta |= {"step": fitted.step, **stage.metadata(cfg, module, needs, folder)}
-        weights.save(model, spec, folder.weights, **meta)
+    with training_dashboards(cfg, folder.path, stage.name) as dashboards:
+        record = Record(folder.path, dashboards)
+        callbacks = stage.callbacks(cfg, module, store, needs, record)
+        fitted = fit(module, data, folder.path, machine, callbacks=callbacks, record=record)
+        if global_rank() == 0:
+            model.load_state_dict(fitted.weights)
+            meta |= {"step": fitted.step, **stage.metadata(cfg, module, needs, folder)}
+            weights.save(model, spec, folder.weights, **meta)
+        for dashboard in dashboards if cfg.logger.artifacts else ():
+            dashboard.artifact([folder.weights, folder.path / "config.yaml"])
     trainable = sum(p.numel() for p in model.parameters() if p.requires_grad)
     return Summary(round(fitted.seconds, 1), fitted.step, fitted.val_loss, trainable, str(device))
 
 
 def check_options(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> None:
-    """Raise ValueError naming an option of machine, loggers or recipe that is wrong."""
+    """Raise ValueError naming an option of machine, logger or recipe that is wrong."""
     Machine(**plain(cfg.trainer))
     find_device(cfg.trainer.accelerator)
-    check_names(cfg.logger.names)
+    check_logger(cfg)
     train = plain(stage.config(cfg)).get("train")
     if train:
         try:

@@ -1,22 +1,18 @@
-"""Hold what happens around training steps: averaging, selection, checkpoints, the run's record and its samples."""
+"""Hold what happens around training steps: averaging, selection, checkpoints and the run's record."""
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
-from lightning.pytorch.loggers import WandbLogger
 from torch import Tensor, nn
 
-from kinema.atomic import write_text
-from kinema.runs.lines import append_line, read_lines
 from kinema.training.modules import StageModule
+from kinema.training.pace import Pace
+from kinema.training.record import Record
 
 
 class EMA(WeightAveraging):
@@ -61,18 +57,23 @@ def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tenso
     return {k: v.detach().cpu().clone() for k, v in selected(trainer, module).state_dict().items()}
 
 
-class BestWeights(Callback):
-    """Keep the weights with the least validation loss; they are part of the checkpoint, so a resumed run has them."""
+class Selection(Callback):
+    """Keep the weights of the least value; they are part of the checkpoint, so a resumed run has them.
+
+    `keeps` is the recipe's `select` that asks for them.
+    """
+
+    keeps: ClassVar[str]
 
     def __init__(self) -> None:
+        super().__init__()
         self.value = float("inf")
         self.step = -1
         self.weights: dict[str, Tensor] = {}
 
-    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Compare the validation loss with the best one."""
-        value = float(trainer.callback_metrics.get("val/loss", float("nan")))
-        if not trainer.sanity_checking and value < self.value:
+    def consider(self, value: float, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Keep the weights if their value is less than the best one."""
+        if value < self.value:
             self.value, self.step = value, trainer.global_step
             self.weights = selected_state(trainer, pl_module)
 
@@ -83,6 +84,17 @@ class BestWeights(Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the selection."""
         self.value, self.step, self.weights = state_dict["value"], state_dict["step"], state_dict["weights"]
+
+
+class BestWeights(Selection):
+    """Keep the weights with the least validation loss."""
+
+    keeps = "best"
+
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Compare the validation loss with the best one."""
+        if not trainer.sanity_checking:
+            self.consider(float(trainer.callback_metrics.get("val/loss", float("nan"))), trainer, pl_module)
 
 
 class Checkpoints(Callback):
@@ -113,72 +125,46 @@ class Checkpoints(Callback):
 
 
 class RunRecord(Callback):
-    """Append metrics to `metrics.jsonl` and count the seconds spent, over interruptions."""
+    """Record losses, learning rate, gradient norm and pace, and the seconds spent, over interruptions."""
 
-    def __init__(self, path: Path, every: int = 50) -> None:
-        self.path = path
-        self.every = every
-        self.spent = 0.0
-        self.started = time.monotonic()
-
-    @property
-    def seconds(self) -> float:
-        """The seconds of training up to now, earlier parts of the run included."""
-        return self.spent + time.monotonic() - self.started
+    def __init__(self, record: Record, pace: Pace, every: int = 50) -> None:
+        self.record, self.pace, self.every = record, pace, every
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Drop the lines of steps that will be run again."""
-        if not trainer.is_global_zero:
-            return
-        kept = [line for line in read_lines(self.path) if line["step"] <= trainer.global_step]
-        write_text(self.path, "".join(json.dumps(line, sort_keys=True) + "\n" for line in kept))
-        self.started = time.monotonic()
+        """Drop what is of steps that will be run again."""
+        if trainer.is_global_zero:
+            self.record.rewind(trainer.global_step)
+        self.pace.restart(trainer.global_step)
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
-        """Record the training losses every few steps."""
+        """Record what training logs, every few steps."""
         if trainer.global_step % self.every == 0:
-            self._append(trainer, "train/")
+            # Reading the losses waits for the device: only then is the time that of the steps.
+            values = _logged(trainer, "train/", "optim/")
+            self._keep(trainer, values | self.pace.rates(trainer.global_step))
+
+    def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Stop the clock of training."""
+        self.pace.start(Pace.ASIDE)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Record the validation losses."""
+        self.pace.stop(Pace.ASIDE)
         if not trainer.sanity_checking:
-            self._append(trainer, "val/")
+            self._keep(trainer, _logged(trainer, "val/"))
 
-    def _append(self, trainer: Trainer, prefix: str) -> None:
-        if not trainer.is_global_zero:
-            return
-        values = {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith(prefix)}
-        if values:
-            append_line(self.path, {"step": trainer.global_step, "seconds": round(self.seconds, 2), **values})
+    def _keep(self, trainer: Trainer, values: dict[str, float]) -> None:
+        if trainer.is_global_zero and values:
+            self.record.scalars(trainer.global_step, values)
 
     def state_dict(self) -> dict[str, Any]:
         """Return the seconds spent so far."""
-        return {"seconds": self.seconds}
+        return {"seconds": self.record.seconds}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the seconds spent before the interruption."""
-        self.spent = state_dict["seconds"]
+        self.record.spent = state_dict["seconds"]
 
 
-class Samples(Callback):
-    """Write what the model makes of a few validation prompts, as a page that plays, and log it where wandb runs."""
-
-    def __init__(self, folder: Path, every: int, draw: Callable[[Any, Path], Path | None]) -> None:
-        self.folder = folder
-        self.every = every
-        self.draw = draw
-
-    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Draw with the validated weights."""
-        if trainer.sanity_checking or not trainer.is_global_zero or trainer.global_step % self.every:
-            return
-        model = selected(trainer, pl_module)
-        training = model.training
-        model.eval()
-        page = self.draw(model, self.folder / f"step-{trainer.global_step:07d}.html")
-        model.train(training)
-        for logger in trainer.loggers:
-            if page is not None and isinstance(logger, WandbLogger):
-                import wandb
-
-                logger.experiment.log({"samples": wandb.Html(page.read_text())}, step=trainer.global_step)
+def _logged(trainer: Trainer, *prefixes: str) -> dict[str, float]:
+    return {k: float(v) for k, v in trainer.callback_metrics.items() if k.startswith(prefixes)}

@@ -15,10 +15,12 @@ from lightning.pytorch.callbacks import TQDMProgressBar
 from torch import Tensor
 
 from kinema.devices import ACCELERATORS
-from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord
+from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord, Selection
 from kinema.training.checkpoint import AtomicCheckpointIO
 from kinema.training.modules import StageModule
+from kinema.training.pace import Pace
 from kinema.training.progress import StepProgress
+from kinema.training.record import Record
 
 HARMLESS = (
     "does not have many workers",
@@ -78,14 +80,17 @@ def fit(
     folder: Path,
     machine: Machine,
     *,
-    callbacks: Sequence[Callback] | None = None,
-    loggers: list[Any] | None = None,
+    callbacks: Sequence[Callback] = (),
+    record: Record | None = None,
 ) -> Fitted:
     """Train to the recipe's number of steps, resuming from `folder/checkpoints/last.ckpt` where that exists."""
     recipe = module.recipe
     # Lightning's notes on devices and its advertisement would bury what the run says itself.
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    best, record = BestWeights(), RunRecord(folder / "metrics.jsonl", machine.log_every)
+    best, pace, record = BestWeights(), Pace(), record or Record(folder)
+    keepers = {other.keeps: other for other in (best, *callbacks) if isinstance(other, Selection)}
+    if recipe.select not in ("last", *keepers):
+        raise ValueError(f"train.select={recipe.select!r} asks for scores, and nothing scores; choose last or best")
     last = folder / "checkpoints" / "last.ckpt"
     saver = Checkpoints(last, recipe.checkpoint_every, recipe.validate_every)
     averaging = [EMA(recipe.ema, recipe.ema_warmup)] if recipe.ema else []
@@ -103,15 +108,15 @@ def fit(
         limit_val_batches=recipe.val_batches or 1.0,
         num_sanity_val_steps=0,
         log_every_n_steps=machine.log_every,
-        logger=loggers or False,
-        callbacks=[*averaging, best, record, *(callbacks or []), *bars, saver],
+        logger=False,
+        callbacks=[*averaging, best, RunRecord(record, pace, machine.log_every), *callbacks, *bars, saver],
         plugins=[AtomicCheckpointIO()],
         enable_checkpointing=False,
         enable_progress_bar=bool(bars),
         enable_model_summary=False,
         use_distributed_sampler=False,
         default_root_dir=folder,
-        **machine.extra,
+        **{"profiler": pace, **machine.extra},
     )
     if machine.compile:
         module.compile_loss()
@@ -121,8 +126,9 @@ def fit(
         trainer.fit(module, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
     if trainer.interrupted or trainer.global_step < recipe.steps:
         raise InterruptedError(f"training stopped at step {trainer.global_step} of {recipe.steps}; run again to resume")
-    if recipe.select == "best" and best.weights:
-        return Fitted(best.weights, best.step, record.seconds, best.value)
+    kept = keepers.get(recipe.select)
+    if kept is not None and kept.weights:
+        return Fitted(kept.weights, kept.step, record.seconds, kept.value if kept is best else None)
     broken = [name for name, value in module.model.named_parameters() if not torch.isfinite(value).all()]
     if broken:
         raise ValueError(

@@ -98,7 +98,15 @@ class StageModule(LightningModule):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
     def configure_gradient_clipping(self, optimizer: torch.optim.Optimizer, *_: Any, **__: Any) -> None:
-        """Clip the norm of all gradients, or of each named submodule by itself (T2M_EVALUATOR §4)."""
+        """Clip the norm of all gradients, or of each named submodule by itself (T2M_EVALUATOR §4).
+
+        The learning rate and the norm before clipping are logged at the steps that are recorded.
+        """
+        every = self.trainer.log_every_n_steps  # type: ignore[attr-defined]  # set by its connector
+        if (self.global_step + 1) % every == 0:
+            gradients = [p.grad for p in self.model.parameters() if p.grad is not None]
+            norm = torch.nn.utils.get_total_norm(gradients)
+            self.log_dict({"optim/lr": optimizer.param_groups[0]["lr"], "optim/grad_norm": norm})
         if self.recipe.clip is None:
             return
         parts = [self.model.get_submodule(name) for name in self.recipe.clip_each] or [self.model]

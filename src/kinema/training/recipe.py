@@ -16,6 +16,8 @@ class Recipe:
     Learning rate at step k (from 0), as the published loops have it (MARDM §3-§4): warm-up lr*(k+2)/(warmup+1) that
     stops at lr*warmup/(warmup+1), then `gamma` at each milestone, counted from step 0 (`milestones_from: start`) or
     from the end of the warm-up (`warmup_end`); `decay: cosine` instead falls to a hundredth over the whole run.
+    The weights that are kept are the last, those of the least validation loss (`select: best`), or those of the least
+    FID on the validation split (`fid`, a generator's alone).
     """
 
     steps: int
@@ -43,7 +45,7 @@ class Recipe:
         for name, allowed in (
             ("milestones_from", ("start", "warmup_end")),
             ("decay", ("milestones", "cosine")),
-            ("select", ("last", "best")),
+            ("select", ("last", "best", "fid")),
         ):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"train.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from kinema.atomic import replacing, write_text
+from kinema.atomic import replacing, write_json, write_text
 from kinema.motion.view.draw import new_figure
+from kinema.report.sections import sections_page
 from kinema.report.text import flatten
 from kinema.runs.console import console
 
@@ -35,23 +36,31 @@ class Section:
 
 
 def write_page(page: dict[str, Any], sections: list[Section], provenance: dict[str, Any], out: Path) -> list[Path]:
-    """Write NAME.csv and, where matplotlib is installed, NAME.png of each section, and README.md.
+    """Write NAME.csv and, where matplotlib is installed, NAME.png of each section, README.md, page.json, index.html.
 
     `page` holds the page's `title` and `lead`, and title and text of every section by its name.
     """
-    written, blocks = [], [f"# {page['title']}", page["lead"].strip()]
+    written, blocks, parts = [], [f"# {page['title']}", page["lead"].strip()], []
     for section in sections:
-        about = page["sections"][section.name]
+        about, image = page["sections"][section.name], f"{section.name}.png"
         written.append(write_text(out / f"{section.name}.csv", csv_text(section.rows)))
         blocks += [f"## {about['title']}", about["text"].strip()]
         try:
-            written.append(_draw(section, out / f"{section.name}.png"))
-            blocks.append(f"![{about['title']}]({section.name}.png)")
+            written.append(_draw(section, out / image))
+            blocks.append(f"![{about['title']}]({image})")
         except ImportError as error:
+            image = ""
             console.print(f"[yellow]note[/]      no figure {section.name}: {escape(str(error))}")
         blocks += [markdown(section.shown), f"All numbers: [{section.name}.csv]({section.name}.csv)."]
+        parts.append({"name": section.name, **about, "image": image, "rows": section.shown})
     facts = "\n".join(f"- {key}: `{value}`" for key, value in flatten(provenance))
-    return [*written, write_text(out / "README.md", "\n\n".join([*blocks, "## Provenance", facts]) + "\n")]
+    told = {"title": page["title"], "lead": page["lead"], "sections": parts, "provenance": provenance}
+    return [
+        *written,
+        write_text(out / "README.md", "\n\n".join([*blocks, "## Provenance", facts]) + "\n"),
+        write_json(out / "page.json", told),
+        write_text(out / "index.html", sections_page(told)),
+    ]
 
 
 def csv_text(rows: Rows) -> str:

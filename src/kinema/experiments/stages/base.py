@@ -85,6 +85,14 @@ class Stage:
         """Say whether an evaluation reads this run beside that of which it is a companion."""
         return self.given(cfg) is not None if cfg.get("run") else self.present(cfg)
 
+    def watched_by(self, cfg: DictConfig) -> list[Stage]:
+        """Return the stages whose runs judge this one while it is made; they are made before and change nothing."""
+        return []
+
+    def selects(self, cfg: DictConfig) -> bool:
+        """Say whether the judgement chooses what is kept: then what judges is part of the run's identity."""
+        return False
+
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
         """Raise ValueError if the configuration or the corpus doesn't fit, before anything is made."""
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
@@ -16,12 +15,13 @@ from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
 
 if TYPE_CHECKING:  # and below where it is used: a finished run must not pay for Lightning
-    from kinema.training.callbacks import Samples
     from kinema.training.modules import StageModule
+    from kinema.training.observers import Observer
     from kinema.training.recipe import Recipe
+    from kinema.training.record import Record
 
 PACE = ("validate_every", "checkpoint_every", "val_batches")
-"""Keys of a recipe that can't change the weights where the last ones are kept."""
+"""Keys of a recipe that can't change the weights where the validation loss doesn't choose them."""
 
 
 class FittedStage(Stage):
@@ -37,13 +37,17 @@ class FittedStage(Stage):
         """Return the model, and of its recipe what can change the weights that are kept."""
         own = plain(self.config(cfg))
         train = dict(own.get("train") or {})
-        left_out = PACE if train.get("select", "last") == "last" else ("checkpoint_every",)
+        left_out = ("checkpoint_every",) if train.get("select") == "best" else PACE
         return {
             "model": own["model"],
             "train": {k: v for k, v in train.items() if k not in left_out},
             "precision": cfg.trainer.precision,
             "debug": cfg.debug.steps,
         }
+
+    def selects(self, cfg: DictConfig) -> bool:
+        """Say whether its recipe keeps the weights of the least FID."""
+        return OmegaConf.select(cfg, f"{self.node}.train.select") == "fid"
 
     def dims(self, cfg: DictConfig) -> str:
         """Name the columns of motion that the stage reads: essential or redundant."""
@@ -64,6 +68,11 @@ class FittedStage(Stage):
 
         check_options(self, cfg, store)
         self.sketch(cfg)
+        if self.selects(cfg) and not self.watched_by(cfg):
+            raise ValueError(
+                f"{self.node}.train.select=fid keeps the weights of the best score, and the {self.name} isn't scored; "
+                "set callbacks.score_every if it is a generator, or choose last or best"
+            )
         train = self.config(cfg).get("train")
         if train and train.data == "clips":
             require_captions(store, "train", "val")
@@ -77,8 +86,8 @@ class FittedStage(Stage):
         return MotionModule(model, recipe, self.seed(cfg))
 
     def callbacks(
-        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path
-    ) -> list[Samples]:
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], record: Record
+    ) -> list[Observer]:
         """Return what else happens while it trains."""
         return []
 

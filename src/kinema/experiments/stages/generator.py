@@ -11,14 +11,17 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import read_model
-from kinema.experiments.stages.base import asked_for, dims
+from kinema.experiments.stages.base import Stage, asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
+from kinema.experiments.stages.matching import MatchingStage
 from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
 
 if TYPE_CHECKING:
-    from kinema.training.callbacks import Samples
     from kinema.training.modules import GeneratorModule
+    from kinema.training.observers import Observer
     from kinema.training.recipe import Recipe
+    from kinema.training.record import Record
 
 
 class GeneratorStage(ConditionedStage):
@@ -54,15 +57,24 @@ class GeneratorStage(ConditionedStage):
                 model.attach(name, read_model(needs[name].path, name).to(find_device(cfg.trainer.accelerator)))
         return super().module(cfg, model, recipe, store, needs)
 
-    def callbacks(
-        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], samples: Path
-    ) -> list[Samples]:
-        """Draw sample motions every few steps, if asked for."""
-        stage = self.tokenizer(cfg)
-        if stage is None or not cfg.callbacks.samples_every:
-            return []
-        from kinema.experiments.previews import sample_drawer
-        from kinema.training.callbacks import Samples
+    def watched_by(self, cfg: DictConfig) -> list[Stage]:
+        """Return the evaluator that scores its motion while it trains, if asked for."""
+        return [MatchingStage()] if cfg.callbacks.score_every else []
 
-        draw = sample_drawer(cfg, store, read_model(needs[stage.name].path, stage.name), module.text.value)
-        return [Samples(samples, cfg.callbacks.samples_every, draw)]
+    def callbacks(
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], record: Record
+    ) -> list[Observer]:
+        """Draw sample motions and score motion every few steps, if asked for."""
+        from kinema.experiments.previews import MotionSamples
+        from kinema.experiments.watching import ValidationScores, Watched
+        from kinema.training.observers import Samples, Scores
+
+        beside = {k: run for k, run in upstream(record.folder).items() if k in module.model.parts and k not in needs}
+        (source,) = self.needs
+        watched = Watched(needs[source].path, module.text.value, beside)
+        found: list[Observer] = []
+        if cfg.callbacks.samples_every:
+            found.append(Samples(cfg.callbacks.samples_every, record, MotionSamples(cfg, store, record, watched)))
+        if cfg.callbacks.score_every:
+            found.append(Scores(cfg.callbacks.score_every, record, ValidationScores(cfg, store, watched)))
+        return found

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
+from kinema.data.store import PackedStore
 from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.base import asked_for, dims, given_run
 from kinema.experiments.stages.fitted import FittedStage
+from kinema.runs.folder import RunFolder
+
+if TYPE_CHECKING:
+    from kinema.training.observers import Observer
+    from kinema.training.record import Record
 
 
 class TokenizerStage(FittedStage):
@@ -44,3 +50,14 @@ class TokenizerStage(FittedStage):
                 f"configuration asks for representation={cfg.representation.kind} of {cfg.data.skeleton}; choose one"
             )
         return tokenizer
+
+    def callbacks(
+        self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], record: Record
+    ) -> list[Observer]:
+        """Draw reconstructions beside the real motion, and count the codes in use, every few steps."""
+        if not cfg.callbacks.samples_every:
+            return []
+        from kinema.experiments.previews import Reconstructions
+        from kinema.training.observers import Samples
+
+        return [Samples(cfg.callbacks.samples_every, record, Reconstructions(cfg, store, record))]
