@@ -19,7 +19,7 @@ import pytest
 from kinema.motion.skeleton import HUMANML3D
 from kinema.types import Motion
 
-PATIENCE = 30
+PATIENCE = 120
 """Seconds after which a page is taken for dead: far beyond what a busy machine needs."""
 
 
