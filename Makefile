@@ -24,7 +24,7 @@ KIT    := $(KIT_OF_$(DATA))
 # Pages say themselves how often they train; a plan runs nothing.
 FLAGS   = $(if $(filter $*,$(TABLES)),$(if $(SEEDS),--seeds $(SEEDS))) $(if $(PLAN),--plan)
 
-.PHONY: help install test lint docs bench demo doctor reproduce-all reproduce-bad-figure2 clean-reports
+.PHONY: help install test lint docs bench demo doctor site reproduce-all reproduce-bad-figure2 clean-reports
 
 # `target: needs  ## what it does` is what is listed; tables and pages are listed by their titles.
 help:  ## list the targets
@@ -77,6 +77,10 @@ reproduce-%-kit: $(STAMP)
 	$(KINEMA) reproduce $* data=$(KIT) scale=$(SCALE) launcher=$(LAUNCHER) $(FLAGS) $(ARGS) --out reports/$*-kit
 
 reproduce-all: $(TABLES:%=reproduce-%) $(PAGES:%=reproduce-%) reproduce-bad-figure2 $(if $(KIT),$(PANELS:%=reproduce-%-kit))  ## reproduce every table, figure and page, and the panels of KIT-ML beside them
+	$(KINEMA) site
+
+site: $(STAMP)  ## write reports/index.html, a site over all that lies under reports/
+	$(KINEMA) site
 
 demo: reproduce-table5  ## generate a motion from a sentence, with the generator of table5's last row
 	$(KINEMA) generate "a person waves with the left hand" \

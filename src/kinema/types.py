@@ -189,7 +189,8 @@ class Known(_Movable):
 class Motion:
     """Hold one generated or captured motion as a user handles it.
 
-    `joints` are positions (frames, joints, 3), Y up, in the skeleton's unit; `features` the rows they came from.
+    `joints` are positions (frames, joints, 3), Y up, in the skeleton's unit; `features` the rows they came from; `kept`
+    is True at the frames (frames,) that an edit kept whole (None: it is no edit, or one of a part of the body).
     """
 
     joints: np.ndarray
@@ -198,6 +199,7 @@ class Motion:
     skeleton: str
     fps: float
     seed: int | None = None
+    kept: np.ndarray | None = None
 
 
 def frame_mask(lengths: Int[Tensor, " b"], size: int) -> Bool[Tensor, "b t"]:

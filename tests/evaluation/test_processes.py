@@ -14,7 +14,19 @@ from torch.nn.parallel import DistributedDataParallel
 
 from kinema.evaluation.encoders.clip_style import ContrastiveEvaluator
 from kinema.evaluation.encoders.t2m import MatchingEvaluator
-from kinema.evaluation.metrics import ClipScore, Diversity, FrechetDistance, MultiModality, Physical, Reconstruction
+from kinema.evaluation.metrics import (
+    PRDC,
+    ClipScore,
+    Diversity,
+    FrechetDistance,
+    HalvesDistance,
+    MultiModality,
+    NearestTraining,
+    Physical,
+    Reconstruction,
+    RetrievalShare,
+    UnitFrechetDistance,
+)
 from kinema.evaluation.metrics.retrieval import Retrieval
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import HUMANML3D
@@ -91,6 +103,11 @@ def measure(rank, world):
         clip=ClipScore(),
         reconstruction=Reconstruction(HUMANML3D),
         physical=Physical(HUMANML3D),
+        share=RetrievalShare(POOL),
+        halves=HalvesDistance(),
+        sphere=UnitFrechetDistance(WIDTH),
+        prdc=PRDC(2),
+        nearest=NearestTraining(rows(10, 40, WIDTH), rows(11, 40).abs()),
     )
     text, real, made, repeats = (
         rows(1, ROWS, WIDTH),
@@ -109,6 +126,11 @@ def measure(rank, world):
         noisy = MotionBatch(batch.features + 0.01 * rows(step, 8, 32, 67), batch.lengths)
         metrics.reconstruction.update(noisy.features, batch.features, batch.lengths)
         metrics.physical.update(noisy, batch)
+        metrics.share.update(text[part], made[part], real[part])
+        metrics.halves.update(real[part], made[part], torch.arange(ROWS)[part])
+        metrics.sphere.update(real[part], made[part])
+        metrics.prdc.update(real[part], made[part])
+        metrics.nearest.update(made[part])
     out = {name: metric.compute() for name, metric in vars(metrics).items()}
     # Ranks hold different numbers of rows: 15 and 9.
     mine = slice(0, ROWS) if world == 1 else (slice(0, 15), slice(15, ROWS))[rank]

@@ -9,8 +9,10 @@ import pytest
 import torch
 
 from kinema.evaluation.metrics import FrechetDistance, Retrieval
+from kinema.evaluation.metrics.neighbours import isolation
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication
 from kinema.evaluation.sources import RealMotion, ShuffledCaptions, Source, answer
+from kinema.evaluation.training_set import TrainingSet
 from kinema.seeds import protocol_seeds
 
 SMALL = EvaluationProtocol(pool=8, mm_texts=12, mm_repeats=5, mm_pairs=2, diversity_pairs=20)
@@ -44,15 +46,21 @@ def run(make, source, protocol=SMALL, work=None, **options):
 
 def test_every_metric_has_its_key(make):
     found = run(make, Noisy()).metrics
-    physical = {"foot_skating", "jitter", "real_foot_skating", "real_jitter", "turn_ratio", "root_speed_ratio"}
+    measured = {"foot_skating", "jitter", "float_mm", "penetration_mm"}
+    physical = {*measured, *(f"real_{name}" for name in measured), "turn_ratio", "root_speed_ratio"}
     text = {"r1", "r2", "r3", "matching", "fid", "diversity", "multimodality", "clip_score"}
     paired = {"mpjpe_mm", "mpjpe_heading_mm", "heading_error_deg"}
-    assert set(found) == physical | text | paired | {"n"}
+    spread = {"fid_halves", "real_fid_halves", "fid_l2", "precision", "recall", "density", "coverage"}
+    shares = {f"r{k}_of_real" for k in (1, 2, 3)}
+    assert set(found) == physical | text | paired | spread | shares | {"n"}
     assert found["n"] == 32
     assert all(np.isfinite(v) for v in found.values())
     real = run(make, RealMotion()).metrics
     assert set(real) == set(found) - paired - {"multimodality"}
     assert real["fid"] < 1e-6
+    assert real["fid_l2"] < 1e-6
+    assert all(real[name] == 1 for name in ("r1_of_real", "precision", "recall", "density", "coverage"))
+    assert real["fid_halves"] == real["real_fid_halves"] == found["real_fid_halves"] != found["fid_halves"]
     assert real["root_speed_ratio"] == real["turn_ratio"] == 1
     assert real["jitter"] == real["real_jitter"]
 
@@ -128,6 +136,26 @@ def test_breakdowns_partition_the_rows(make):
         mean = sum(p[name] * p["n"] for p in parts.values()) / 32
         assert mean == pytest.approx(found.metrics[name], rel=1e-5)
     assert parts["a"]["fid"] != parts["b"]["fid"]
+    assert "coverage" not in parts["a"]  # of the whole alone
+
+
+def test_training_motion_is_known_again_and_nothing_is_embedded_for_it(make):
+    model, work = make.matching(), batches(make)
+    count = Counting(model)
+    with torch.no_grad():
+        known = torch.cat([model.embed_motion(batch) for batch in work])
+    training = TrainingSet(known, isolation(known, torch.tensor([[i, 0, 9] for i in range(len(known))])))
+    count.motions = 0
+    plain = evaluate_replication(Noisy(), work, model, protocol=SMALL).metrics
+    embedded, count.motions = count.motions, 0
+    found = evaluate_replication(Noisy(), work, model, protocol=SMALL, training=training).metrics
+    assert count.motions == embedded
+    assert found.keys() - plain.keys() == {"nearest_train", "memorised"}
+    assert all(found[key] == value for key, value in plain.items())
+    assert found["nearest_train"] > 0
+    real = evaluate_replication(RealMotion(), work, model, protocol=SMALL, training=training).metrics
+    assert real["nearest_train"] < 1e-5
+    assert real["memorised"] == 1
 
 
 def test_samples_show_the_first_answers(make):

@@ -231,6 +231,8 @@ def test_an_edit_sees_nothing_of_the_frames_it_replaces(make, task):
     assert (seen[0].mask.sum(1) > 0).all()
     size = kept.shape[1]
     assert torch.equal(first.features[kept], batch.features[:, :size, :67][kept])
+    assert torch.equal(edited.kept(batch.lengths), kept)  # and what is watched says which frames these are
+    assert RealMotion().kept(batch.lengths) is None
     changed = torch.where(kept[..., None], batch.features[:, :size], torch.randn_like(batch.features[:, :size]))
     second = edited(replace(batch, features=changed), seeds(8))
     assert torch.equal(first.features, second.features)

@@ -28,6 +28,7 @@ ALLOWED = {
     "kinema.evaluation.metrics.retrieval": {"matching"},
     "kinema.experiments.evaluation": {"matching"},
     "kinema.experiments.breakdowns": {"matching"},
+    "kinema.experiments.watching": {"matching"},
 }
 
 

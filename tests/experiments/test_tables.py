@@ -12,13 +12,14 @@ import pytest
 from kinema.data.leakage import CAPTION, FRAMES, TAKE
 from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments import evaluation, reproduce, tables
+from kinema.experiments.benchmark import benchmark_columns, sections
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.jobs import JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
 
-FILES = ("table.md", "table.csv", "table.tex", "index.html")
+FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
 COMMAND = "make reproduce-table5"
 
 
@@ -77,6 +78,38 @@ def test_rendering_twice_gives_the_same_bytes(complete, table, micro_tables, tmp
     assert row_of(first["table.csv"], "halves")["r1"] == ""  # a row of one metric
 
 
+def test_the_benchmark_stands_below_every_table(complete, table, micro_tables, tmp_path):
+    text = rendered(table, micro_tables, tmp_path)["table.md"]
+    section = text.split("## Benchmark\n\n")[1].split("\n\n")[0].splitlines()
+    labels = [column["label"] for column in benchmark_columns()]
+    assert [heading.strip(" ↑↓→") for heading in section[0].split("|")[3:-1]] == labels
+    cells = {line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[3:-1]] for line in section[2:]}
+    assert "MARDM-SiT" in cells
+    assert "Real half against half" not in cells  # a row of one metric
+    for label, row in cells.items():
+        assert not {"", "–"} & set(row), label
+    assert cells["Real motion"][0].startswith("1.000")
+
+
+@pytest.mark.parametrize("name", sorted(file.stem for file in (CONF / "table").glob("*.yaml")))
+def test_no_column_stands_twice(name):
+    described = load_table(name)
+    keys = [c["key"] for c in (*described["columns"], *described.get("beside", []), *benchmark_columns())]
+    assert sorted(keys) == sorted(set(keys))
+
+
+def test_rows_that_were_scored_before_the_benchmark_leave_it_empty():
+    rows = [{"key": key, "label": key, "kind": "method", "note": ""} for key in "abcd"]
+    results = [[{"jitter": 1.0, "fid": 2.0}], [{"jitter": 3.0, "coverage": 0.5}], [{"fid": 1.0}], []]
+    filled = [{**row, "results": found} for row, found in zip(rows, results, strict=True)]
+    none, section = sections([], filled)
+    assert none["rows"] == []
+    assert [row["key"] for row in section["rows"]] == ["a", "b"]
+    lines = grid(section).lines
+    at = [column["key"] for column in benchmark_columns()].index("coverage")
+    assert [line.cells[at].ours is None for line in lines] == [True, False]
+
+
 def test_methods_that_are_missing_say_so(complete, table, micro_tables, tmp_path):
     missing = [row["label"] for row in table["rows"] if "source" not in row]
     text = rendered(table, micro_tables, tmp_path)["table.md"]
@@ -100,10 +133,11 @@ def test_the_table_names_what_it_rests_on(complete, table, micro_tables, tmp_pat
 
 def test_clips_are_told_apart_by_captions_that_training_has(complete, table, micro_tables):
     for line in plan(table, micro_tables)[0].place.lines:
-        parts = {value: part["n"] for value, part in line["breakdowns"][CAPTION].items()}
-        assert parts.keys() == {"seen", "unseen"}
-        assert sum(parts.values()) == line["metrics"]["n"]
-        assert not {TAKE, FRAMES} & line["breakdowns"].keys()  # a generated corpus has no takes
+        # A generated corpus repeats no sentence and has no takes.
+        assert {value: part["n"] for value, part in line["breakdowns"][CAPTION].items()} == {
+            "unseen": line["metrics"]["n"]
+        }
+        assert not {TAKE, FRAMES} & line["breakdowns"].keys()
 
 
 def test_a_corpus_of_no_paper_stands_beside_the_panel_of_its_skeleton(micro_tables, tmp_path):
@@ -304,3 +338,20 @@ def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):
     with pytest.raises(SystemExit) as stopped:
         reproduce.main(["table5"])
     assert str(stopped.value).startswith("error: there is no table 'table5'")
+
+
+def test_the_runs_behind_a_table_are_told_without_a_path_of_this_machine(complete, table, micro_tables, tmp_path):
+    told = json.loads(rendered(table, micro_tables, tmp_path)["table.json"])
+    runs = {run["name"]: run for run in told["runs"]}
+    (row,) = [row for row in plan(table, micro_tables) if row.spec["key"] == "mardm_sit"]
+    for stage, path in row.place.runs.items():
+        run = runs[path.name]
+        assert run["stage"] == stage
+        assert row.spec["label"] in run["rows"]
+        assert run["facts"]["parameters"] > 0
+        assert run["curves"], stage
+    generator = runs[row.place.runs["generator"].name]
+    assert "MARDM" in generator["config"]["generator"]["model"]["_target_"]
+    assert generator["facts"]["from tokenizer"] in runs
+    assert str(tmp_path.parent) not in json.dumps(told["runs"])
+    assert set(told["motions"]) >= {"real", "mardm_sit", "shuffled"}

@@ -6,7 +6,15 @@ from dataclasses import replace
 import pytest
 import torch
 
-from kinema.motion.physics import foot_skating, heading_at, jitter, root_speed, root_velocity_std, turn_angle
+from kinema.motion.physics import (
+    floor_distances,
+    foot_skating,
+    heading_at,
+    jitter,
+    root_speed,
+    root_velocity_std,
+    turn_angle,
+)
 from kinema.motion.recovery import recover_root
 from kinema.motion.skeleton import HUMANML3D, KIT
 
@@ -38,6 +46,34 @@ def test_skating_reads_the_skeletons_unit_and_rate():
     joints[0, :, 20, 2] = torch.arange(11) * 50.0  # 50 mm a frame at 12.5 fps: 0.625 m/s
     assert foot_skating(joints, torch.tensor([11]), KIT).item() == 0.5
     assert foot_skating(joints, torch.tensor([11]), replace(KIT, fps=5.0)).item() == 0
+
+
+def test_float_and_penetration_are_the_lowest_joints_millimetres():
+    joints = standing(3, 10)  # toes at 0
+    joints[0, :, :, 1] += 0.03
+    joints[1, :5, 10, 1] = -0.02  # half of the time one toe is 2 cm below
+    joints[2, :, [10, 11], 1] = 0.004  # within the tolerance
+    joints[2, 6:] = -9  # past the end
+    lengths = torch.tensor([10, 10, 6])
+    floating, penetration = floor_distances(joints, lengths, HUMANML3D)
+    torch.testing.assert_close(floating, torch.tensor([30.0, 0.0, 0.0]))
+    torch.testing.assert_close(penetration, torch.tensor([0.0, 10.0, 0.0]))
+    kit = floor_distances(1000 * joints[:, :, :21], lengths, KIT)  # millimetres
+    torch.testing.assert_close(kit, (floating, penetration))
+
+
+def test_float_and_penetration_are_what_a_loop_over_frames_finds():
+    joints = 0.05 * torch.randn(4, 12, 22, 3, generator=torch.Generator().manual_seed(3))
+    joints[..., 1] += 0.08
+    lengths = torch.tensor([12, 9, 5, 1])
+    expected = []
+    for clip, length in zip(joints.double().numpy(), lengths.tolist(), strict=True):
+        heights = [min(joint[1] for joint in frame) for frame in clip[:length]]
+        heights = [0.0 if -0.005 <= h <= 0.005 else 1000 * h for h in heights]
+        expected.append([sum(max(s * h, 0) for h in heights) / length for s in (1, -1)])
+    found = torch.stack(floor_distances(joints, lengths, HUMANML3D), dim=1)
+    torch.testing.assert_close(found, torch.tensor(expected, dtype=torch.float32))
+    assert (found[:3] > 0).all()
 
 
 def test_jitter_is_the_third_derivative_in_metres():
@@ -84,6 +120,7 @@ def test_padding_changes_nothing_and_short_clips_give_numbers(length):
     padded_features = torch.cat([features, torch.full((1, 5, 67), torch.nan)], dim=1)
     for measure, values, padded in [
         (lambda j, n: foot_skating(j, n, HUMANML3D), joints, padded_joints),
+        (lambda j, n: floor_distances(j, n, HUMANML3D)[1], joints, padded_joints),
         (lambda j, n: jitter(j, n, 20.0), joints, padded_joints),
         (turn_angle, features, padded_features),
         (root_speed, features, padded_features),

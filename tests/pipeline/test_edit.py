@@ -26,6 +26,7 @@ def test_kept_rows_come_back_bit_equal_and_the_rest_is_new(model, motions, frame
             changed[start:end] = True
         assert result.features.shape == motion.features.shape
         assert np.array_equal(result.features[~changed], motion.features[~changed])
+        assert np.array_equal(result.kept, ~changed)
         assert (np.abs(result.features[changed] - motion.features[changed]).max(axis=1) > 1e-4).all()
         assert result.text == "someone turns around"
 

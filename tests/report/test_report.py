@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import json
 import math
 import subprocess
 import sys
@@ -98,7 +99,7 @@ def test_table_says_how_its_intervals_are_computed(table, tmp_path):
 
 def test_all_formats_hold_ours_and_the_papers(table, tmp_path):
     files = texts(table, tmp_path)
-    assert list(files) == ["table.md", "table.csv", "table.tex", "index.html"]
+    assert list(files) == ["table.md", "table.csv", "table.tex", "table.json", "index.html"]
     assert "| A | 2 | 0.510 ± 0.127 |" in files["table.md"]
     assert "*0.500 ± 0.004* | *0.11*" in files["table.md"]
     assert r"A & 2 & $0.510 \pm 0.127$" in files["table.tex"]
@@ -125,6 +126,26 @@ def test_a_table_of_several_judges_marks_no_best_and_speaks_of_none(table, tmp_p
     files = texts(table, tmp_path)
     assert "Bold" not in files["table.md"] + files["index.html"]
     assert "**" not in files["table.md"]
+
+
+def test_a_value_above_its_columns_bound_is_marked_and_the_mark_explained(table, tmp_path):
+    bound = {"above": 0.505, "means": "better than <real>"}
+    table["columns"] = [{**COLUMNS[0], "flag": bound}, COLUMNS[1]]
+    files = texts(table, tmp_path)
+    assert "| A | 2 | 0.510 ± 0.127 † |" in files["table.md"]
+    assert "| B_% | 2 | 0.520 ± 0.127 † |" in files["table.md"]
+    assert "† above 0.505: better than <real>." in files["table.md"]
+    assert r"$0.510 \pm 0.127^{\dagger}$" in files["table.tex"]
+    assert "<sup title='better than &lt;real&gt;'>†</sup>" in files["index.html"]
+    assert "<p class='small'>† above 0.505: better than &lt;real&gt;.</p>" in files["index.html"]
+    assert "†" not in files["table.csv"]
+    table["breakdowns"] = [{"title": "Beside", "columns": table["columns"], "rows": [table["rows"][1]]}]
+    table["columns"] = COLUMNS
+    files = texts(table, tmp_path)
+    for text in (files["table.md"], files["index.html"]):
+        assert text.count("† above 0.505") == 1
+    bound["above"] = 2
+    assert "†" not in "".join(texts(table, tmp_path).values())
 
 
 def test_missing_rows_say_so(table, tmp_path):
@@ -186,19 +207,31 @@ def motions() -> dict[str, list[Motion]]:
     return {"b_%": [make("walk", 0), make("jump", 1)], "a": [make("jump", 2), make("walk", 3)]}
 
 
-def test_motions_of_one_prompt_stand_together(table, tmp_path, motions):
-    page = texts(table, tmp_path, motions)["index.html"]
-    parts = page.split("<h3 class='kinema-group'>")[1:]
-    assert [part.split("<")[0] for part in parts] == ["jump", "walk"]
-    for part in parts:  # in the order of the rows
-        assert part.index("kinema-label'>A<") < part.index("kinema-label'>B_%<")
-    assert "http" not in page
+def test_motions_lie_beside_the_page_and_are_named_in_it(table, tmp_path, motions):
+    files = texts(table, tmp_path, motions)
+    packs = json.loads(files["table.json"])["motions"]
+    assert set(packs) == {"a", "b_%"}
+    assert [m["text"] for m in packs["a"]["motions"]] == ["jump", "walk"]
+    for key, pack in packs.items():
+        assert pack["pack"] in files["index.html"]
+        script = (tmp_path / pack["pack"]).read_text()
+        played = json.loads(script.removeprefix("kinema.pack(").removesuffix(");\n"))
+        assert [len(motion["parents"]) for motion in played] == [22, 22], key
+    assert "http" not in files["index.html"].replace("http-equiv", "")
 
 
-def test_motions_without_a_shared_prompt_stand_by_row(table, tmp_path, motions):
-    page = texts(table, tmp_path, {"a": motions["a"]})["index.html"]
-    assert page.count("<h3 class='kinema-group'>A</h3>") == 1
-    assert page.count("<figure") == 2
+def test_packs_that_no_row_has_any_more_are_deleted(table, tmp_path, motions):
+    render(table, tmp_path, motions)
+    first = {path.name for path in (tmp_path / "motions").iterdir()}
+    render(table, tmp_path, {"a": motions["b_%"]})
+    (left,) = (tmp_path / "motions").iterdir()
+    assert left.name in first
+
+
+def test_a_motion_that_is_not_finite_says_so(table, tmp_path, motions):
+    motions["a"][1].joints[7:, 3] = np.nan
+    packs = json.loads(texts(table, tmp_path, motions)["table.json"])["motions"]
+    assert [m["broken"] for m in packs["a"]["motions"]] == [None, 7]
 
 
 def test_bad_tables_are_named(table, tmp_path, motions):

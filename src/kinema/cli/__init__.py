@@ -140,6 +140,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
     check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
+    site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
     return parser

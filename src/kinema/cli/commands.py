@@ -27,6 +27,7 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
+from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder, read_json
 from kinema.runs.latest import find_run
@@ -139,6 +140,12 @@ def doctor(options: argparse.Namespace) -> int:
     findings = examine.diagnose(path, source=source)
     print(examine.format(findings))
     return examine.exit_code(findings, strict=options.strict)
+
+
+def site(options: argparse.Namespace) -> None:
+    """Write the site over all tables and studies of a folder."""
+    written = write_site(options.reports)
+    print(f"wrote {written[0]} and {len(written) - 1} more pages")
 
 
 def info(options: argparse.Namespace) -> None:

@@ -16,10 +16,10 @@ from kinema.types import Caption, MotionBatch
 
 
 class EmbeddingCache:
-    """Hold one .npz per (evaluator, corpus, seed, replication) in a folder.
+    """Hold one .npz per (evaluator, corpus, seed, replication) in a folder, and one of the training motions.
 
     Inside, embeddings are found by what was embedded (its SHA-256), so a changed crop, caption or order is computed
-    anew, never served. `corpus` (its manifest hash) only keeps corpora apart.
+    anew, never served; training motions are those of the corpus. `corpus` (its manifest hash) keeps corpora apart.
     """
 
     def __init__(self, directory: str | Path, corpus: str = "") -> None:
@@ -31,9 +31,14 @@ class EmbeddingCache:
         name = "-".join(part for part in (self.corpus, f"s{seed}", f"r{replication:03d}") if part)
         return Shelf(self.directory / evaluator / f"{name}.npz")
 
+    def training(self, evaluator: str) -> Shelf:
+        """Open what is known of the corpus' training motions for an evaluator."""
+        name = "-".join(part for part in (self.corpus, "train") if part)
+        return Shelf(self.directory / evaluator / f"{name}.npz")
+
 
 class Shelf:
-    """Hold the embeddings of one replication; `path=None` keeps nothing beyond the process."""
+    """Hold arrays of one replication, or of the training motions; `path=None` keeps nothing beyond the process."""
 
     def __init__(self, path: Path | None) -> None:
         self.path = path

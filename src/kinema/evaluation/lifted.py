@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from kinema.evaluation.sources import Source, answer
@@ -41,3 +41,7 @@ class Lifted(Source):
     def measured(self) -> dict[str, float]:
         """Return what the source measured."""
         return self.source.measured()
+
+    def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"] | None:
+        """Mark the frames that the source keeps."""
+        return self.source.kept(lengths)

@@ -10,12 +10,14 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from kinema.evaluation.benchmark import Benchmark
 from kinema.evaluation.cache import EmbeddingCache, Shelf, motion_key, text_key
 from kinema.evaluation.encoders.base import TextMotionEvaluator
 from kinema.evaluation.metrics.finite import require_finite
 from kinema.evaluation.scores import Observation, Scores
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.evaluation.sources import Source
+from kinema.evaluation.training_set import TrainingSet
 from kinema.seeds import protocol_seeds
 from kinema.types import MotionBatch
 
@@ -54,17 +56,20 @@ def evaluate_replication(
     *,
     fields: Fields | None = None,
     cache: EmbeddingCache | None = None,
+    training: TrainingSet | None = None,
     watch: int = 8,
 ) -> ReplicationResult:
     """Score a source on the test batches of one replication.
 
     The first `mm_texts` captions are answered `mm_repeats` times; the first answer also serves the other metrics
     (the published code takes the last), so that they are the same with and without MultiModality. `fields` names
-    each row's values by which results are broken down. Raises ValueError that names the clip for NaN or infinity.
+    each row's values by which results are broken down; `training` is what the judge has embedded of the train split
+    (None: memorised motion is not looked for). Raises ValueError that names the clip for NaN or infinity.
     """
     protocol = protocol or EvaluationProtocol()
     judge = _Judge(evaluator, clip_evaluator, cache, protocol.seed, replication)
     total = Scores(protocol, replication, evaluator.representation.skeleton, judge.device)
+    benchmark = Benchmark(protocol, replication, judge.device, training)
     parts: dict[str, dict[str, Scores]] = {}
     samples = references = None
     first = 0
@@ -75,6 +80,7 @@ def evaluate_replication(
         generated = _answer(source, real, protocol, replication, first)
         seen = judge.observe(real, generated, first, source.reconstructs)
         total.update(seen)
+        benchmark.update(seen)
         _update_parts(parts, fields, seen, total)
         if source.multimodal and first < protocol.mm_texts:
             total.update_multimodality(_repeats(source, seen, judge, protocol, replication, first))
@@ -88,7 +94,7 @@ def evaluate_replication(
         )
     judge.save()
     breakdowns = {name: {v: s.compute() for v, s in sorted(values.items())} for name, values in parts.items()}
-    return ReplicationResult(total.compute(), breakdowns, samples, references)
+    return ReplicationResult(total.compute() | benchmark.compute(), breakdowns, samples, references)
 
 
 def select(batch: MotionBatch, rows: Int[Tensor, " n"]) -> MotionBatch:
@@ -173,9 +179,11 @@ def _answer(
 def _update_parts(parts: dict[str, dict[str, Scores]], fields: Fields | None, seen: Observation, total: Scores) -> None:
     """Add a batch's rows to the scores of the values they have."""
     for name, values in (fields(seen.real) if fields else {}).items():
+        known = parts.setdefault(name, {})
         for value in sorted(set(values)):
-            keep = torch.tensor([v == value for v in values], device=seen.index.device)
-            parts.setdefault(name, {}).setdefault(value, total.empty()).update(seen, keep)
+            if value not in known:
+                known[value] = total.empty()
+            known[value].update(seen, torch.tensor([v == value for v in values], device=seen.index.device))
 
 
 def _repeats(

@@ -41,11 +41,17 @@ class Observation:
     paired: bool
 
 
+def metric_device(device: torch.device) -> torch.device:
+    """Return the device, or the CPU where it has no float64, which FID needs."""
+    return torch.device("cpu") if device.type == "mps" else device
+
+
 class Scores:
     """Update all metrics together; `compute` gives those that the rows seen allow.
 
     Keys: r1 r2 r3 matching fid diversity; clip_score with a contrastive evaluator; multimodality; of reconstructions
-    mpjpe_mm mpjpe_heading_mm heading_error_deg; and foot_skating jitter turn_ratio root_speed_ratio with their real_*.
+    mpjpe_mm mpjpe_heading_mm heading_error_deg; and foot_skating jitter float_mm penetration_mm with their
+    real_*, turn_ratio root_speed_ratio.
     """
 
     def __init__(
@@ -63,8 +69,7 @@ class Scores:
         self.reconstruction = Reconstruction(skeleton, **sync)
         self.physical = Physical(skeleton, **sync)
         self.fid: FrechetDistance | None = None
-        # Some devices have no float64, which FID needs.
-        self.device = torch.device("cpu") if device.type == "mps" else device
+        self.device = metric_device(device)
         for metric in self._metrics():
             metric.to(self.device)
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.decoding.draws import SeededDraws
@@ -48,6 +48,10 @@ class Source(ABC):
     def measured(self) -> dict[str, float]:
         """Return what the source measured of itself since the last call, by the names of metrics."""
         return {}
+
+    def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"] | None:
+        """Mark the frames of answers to clips of these lengths that are the clips' own; None: the source edits none."""
+        return None
 
 
 class RealMotion(Source):
@@ -278,6 +282,11 @@ class Edited(Source):
         if self.paste:
             made = paste(made, batch.features, kept_frames(known.mask, tokenizer.space))
         return answer(batch, made.features, made.lengths)
+
+    def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"]:
+        """Mark the frames that the task keeps."""
+        space = self.model.tokenizer.space
+        return kept_frames(task_slots(self.task, space.latents_of(lengths)), space)
 
 
 def encode_captions(encoder: FrozenTextEncoder, batch: MotionBatch) -> TextFeatures:

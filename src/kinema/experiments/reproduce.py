@@ -18,6 +18,7 @@ from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
+from kinema.report.index import write_site
 from kinema.report.intervals import FORMS
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -54,7 +55,8 @@ def main(arguments: list[str] | None = None) -> None:
 def reproduce(name: str, overrides: list[str], **options: Any) -> None:
     """Run what a table or page lacks and render it; options as of Request.
 
-    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised.
+    What fails is said in its row; the rest is made and rendered before JobsFailedError is raised. Without `out` the
+    report goes to reports/, and the site over all that lies there is written anew.
     """
     request = Request(name, tuple(overrides), **options)
     if name in pages():
@@ -65,6 +67,8 @@ def reproduce(name: str, overrides: list[str], **options: Any) -> None:
             console.print(f"wrote     {path}")
     else:
         _reproduce_table(load_table(name), request)
+    if request.out is None and not request.plan:
+        write_site("reports")
 
 
 def _reproduce_table(table: dict[str, Any], request: Request) -> None:

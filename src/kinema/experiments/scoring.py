@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,10 @@ from kinema.data.leakage import Nearness
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
-from kinema.evaluation.cache import motion_key
 from kinema.evaluation.lifted import Lifted
-from kinema.evaluation.metrics.fid import half_against_half
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
+from kinema.evaluation.training_set import TrainingSet
 from kinema.experiments.config import plain
 from kinema.experiments.evaluation import Row
 from kinema.experiments.instantiate import cached, encode_captions, read_model, text_encoder
@@ -29,7 +27,6 @@ from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
 from kinema.runs.build import build
-from kinema.seeds import halves_seed
 from kinema.text.cache import CachedTextEncoder
 from kinema.training.fit import Machine
 from kinema.types import MotionBatch
@@ -58,6 +55,7 @@ class Scorer:
         }
         self.matching, self.contrastive = models["t2m"], models["clip"]
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
+        self.training = TrainingSet.embedded(self.store, self.matching, self.cache)
         source = self._source(row)
         self.source = Lifted(source, self.store.skeleton) if cfg.lift else source
         judged = (model.representation.kind for model in models.values())
@@ -98,9 +96,10 @@ class Scorer:
             replication,
             fields=self._fields,
             cache=self.cache,
+            training=self.training,
         )
-        if self.cfg.source == "real":
-            result.metrics["half_fid"] = self._half_fid(replication)
+        if self.cfg.source == "real" and "real_fid_halves" in result.metrics:
+            result.metrics["half_fid"] = result.metrics["real_fid_halves"]  # the name in results of before
         result.metrics.update(self.source.measured())
         return result
 
@@ -116,18 +115,8 @@ class Scorer:
         )
         return (batch.to(self.device) for batch in batches)
 
-    @torch.no_grad()
-    def _half_fid(self, replication: int) -> float:
-        """Return the FID of one half of the real clips to the other (their embeddings are cached)."""
-        shelf = self.cache.shelf(self.matching.identity(), self.protocol.seed, replication)
-        known = [
-            shelf.get(motion_key(batch), partial(self.matching.embed_motion, batch), torch.device("cpu"))
-            for batch in self._batches(replication)
-        ]
-        return half_against_half(torch.cat(known), halves_seed(self.protocol.seed, replication))
-
     def save_samples(self, path: Path, result: ReplicationResult) -> None:
-        """Keep a few motions of the replication as joints."""
+        """Keep a few motions of the replication as joints, of edits with the frames that were kept."""
         batch = result.samples
         if batch is None:
             return
@@ -135,6 +124,9 @@ class Scorer:
         joints = recover_joints(batch.features[:count].float().cpu(), self.store.skeleton).numpy()
         arrays = {f"joints{i}": joints[i, : int(batch.lengths[i])].astype(np.float32) for i in range(count)}
         arrays |= {"texts": np.array(batch.texts[:count]), "skeleton": np.array(self.store.skeleton.name)}
+        kept = self.source.kept(batch.lengths[:count])
+        if kept is not None:
+            arrays |= {f"kept{i}": row[: int(batch.lengths[i])].cpu().numpy() for i, row in enumerate(kept)}
         with replacing(path) as temporary:
             np.savez(temporary, allow_pickle=False, **arrays)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.experiments.benchmark import sections
 from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import CONF, compose, plain
 from kinema.experiments.corpus import corpus_label
@@ -148,7 +149,8 @@ def row_overrides(spec: dict[str, Any]) -> list[str]:
 
 
 def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command: str) -> list[Path]:
-    """Write table.md, table.csv, table.tex and index.html; an incomplete row's cells stay empty."""
+    """Write the report of a table (report/site.py); an incomplete row's cells stay empty."""
+    from kinema.experiments.cards import run_cards
     from kinema.report.motions import read_samples
     from kinema.report.site import render
 
@@ -160,18 +162,18 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     shown = {key: group for key, group in groups.items() if group[0].spec.get("shown", True)}
     filled = {**table, "rows": [_filled(group, published, results[key]) for key, group in shown.items()]}
     filled.pop("paper")
-    beside = filled.pop("beside", [])
     filled["panel"] = panel if published else None
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
     filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
     filled["provenance"] = provenance(rows, command)
+    filled["runs"] = run_cards(rows)
     parts = [
         Parts(group[0].spec, [row.lines for row in group])
         for key, group in shown.items()
         if results[key] and "metrics" not in group[0].spec
     ]
-    filled["breakdowns"] = [_beside(beside, filled["rows"]), *breakdowns(parts)]
+    filled["breakdowns"] = [*sections(filled.pop("beside", []), filled["rows"]), *breakdowns(parts)]
     filled["footnotes"] = [*table.get("footnotes", []), *footnotes(parts)]
     motions = {
         key: read_samples(row.place.folder.path / "samples.npz")
@@ -293,8 +295,3 @@ def _steps_note(row: TableRow) -> str:
         return ""
     chosen = taken if isinstance(taken, int) else f"the steps {taken!r}"
     return f"sampled in {chosen} of its {trained} diffusion steps"
-
-
-def _beside(columns: list[dict[str, Any]], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    shown = [{**row, "published": None} for row in rows if row["results"]]
-    return {"title": "Beside the paper's metrics", "columns": columns, "rows": shown}

@@ -2,9 +2,10 @@
 
 Foot skating: of the frames where a toe is low (y < 5 cm at t and t+1), the share in which it slides (horizontal
 speed above 0.5 m/s). Jitter: the norm of the third difference of positions times fps^3, averaged over joints and
-frames, m/s^3. Heading: h_t = 2 sum_{s<t} a_s, a the half-angle column; turn angle = h_L. Root speed: the norm of the
-horizontal root velocity, averaged over frames. Root velocity deviation: the square root of its variance over frames,
-averaged over x and z.
+frames, m/s^3. Float and penetration: how far the lowest joint is above or below the floor, averaged over frames, mm;
+within 5 mm counts as 0 (Yuan et al. 2023, PhysDiff; theirs is the lowest vertex of a body mesh). Heading:
+h_t = 2 sum_{s<t} a_s, a the half-angle column; turn angle = h_L. Root speed: the norm of the horizontal root velocity,
+averaged over frames. Root velocity deviation: the square root of its variance over frames, averaged over x and z.
 
 Evaluators hardly see heading, turn angle and root speed, so they are measured on their own.
 """
@@ -23,6 +24,9 @@ FOOT_HEIGHT = 0.05
 
 SLIDING_SPEED = 0.5
 """Metres per second: a faster toe near the floor slides."""
+
+FLOOR_TOLERANCE = 0.005
+"""Metres above or below the floor that count as standing on it."""
 
 
 def foot_skating(
@@ -53,6 +57,19 @@ def jitter(
     meters = joints if unit == "m" else joints * 1e-3
     third = meters.diff(n=3, dim=1).norm(dim=-1).mean(-1) * fps**3
     return _masked_mean(third, frame_mask(lengths - 3, third.shape[1]))
+
+
+def floor_distances(
+    joints: Float[Tensor, "b t j 3"], lengths: Int[Tensor, " b"], skeleton: Skeleton
+) -> tuple[Float[Tensor, " b"], Float[Tensor, " b"]]:
+    """Return how far the lowest joint floats above the floor (y = 0) and sinks below it, means over frames, mm.
+
+    A frame within the tolerance counts as 0, any other by its whole distance. `joints` are in the skeleton's unit.
+    """
+    lowest = joints[..., 1].amin(-1) * skeleton.meters
+    away = lowest.masked_fill(lowest.abs() <= FLOOR_TOLERANCE, 0) * 1000
+    mask = frame_mask(lengths, joints.shape[1])
+    return _masked_mean(away.clamp(min=0), mask), _masked_mean((-away).clamp(min=0), mask)
 
 
 def heading_at(features: Float[Tensor, "b t d"], frames: Int[Tensor, " b"]) -> Float[Tensor, " b"]:

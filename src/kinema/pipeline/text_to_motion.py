@@ -237,7 +237,7 @@ class TextToMotion:
                 text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
                 batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
                 batch = paste_kept(batch, whole.features, keep) if paste else batch
-                edited += self._motions(batch, texts[part], seeds[part])
+                edited += self._motions(batch, texts[part], seeds[part], keep)
         return edited
 
     def _known(self, source: MotionBatch, ranges: list[Ranges], parts: str | None) -> tuple[Tensor, Known]:
@@ -250,11 +250,17 @@ class TextToMotion:
         keep = ~edited_features(regenerate, parts, self.skeleton, width)
         return keep, encode_kept_features(self.tokenizer, source, keep)
 
-    def _motions(self, batch: MotionBatch, texts: list[str], seeds: list[int]) -> list[Motion]:
+    def _motions(
+        self, batch: MotionBatch, texts: list[str], seeds: list[int], keep: Tensor | None = None
+    ) -> list[Motion]:
         joints = recover_joints(batch.features, self.skeleton).cpu().numpy()
         rows = zip(batch.features.cpu().numpy(), joints, batch.lengths.tolist(), texts, seeds, strict=True)
         name, fps = self.skeleton.name, self.skeleton.fps
-        return [Motion(j[:n].copy(), f[:n].copy(), text, name, fps, seed) for f, j, n, text, seed in rows]
+        made = [Motion(j[:n].copy(), f[:n].copy(), text, name, fps, seed) for f, j, n, text, seed in rows]
+        if keep is None:
+            return made
+        whole = (keep if keep.ndim == 2 else keep.all(-1)).cpu().numpy()
+        return [replace(motion, kept=row[: len(motion.joints)]) for motion, row in zip(made, whole, strict=True)]
 
     def _sampling(self, changes: dict[str, Any]) -> Any:
         allowed = [f.name for f in fields(self.generator.sampling)]

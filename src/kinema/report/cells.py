@@ -8,6 +8,7 @@ from typing import Any
 from kinema.report.intervals import FORMS, Form, Value, measure
 
 KINDS = ("real", "control", "method")
+FLAG = "†"
 ARROWS = {"higher": "↑", "lower": "↓", "real": "→", "none": ""}
 
 
@@ -18,16 +19,33 @@ class Cell:
     ours: Value | None
     paper: Value | None
     best: bool = False
+    flagged: bool = False
+
+
+@dataclass(frozen=True)
+class Flag:
+    """Hold the value above which ours is marked, and what the mark means."""
+
+    above: float
+    means: str
+
+    def marks(self, value: Value | None) -> bool:
+        """Say whether a value is marked."""
+        return value is not None and value.mean > self.above
 
 
 @dataclass(frozen=True)
 class Column:
-    """Hold one metric's key, heading and precision; `better` is higher, lower, real (closest to real) or none."""
+    """Hold one metric's key, heading and precision; `better` is higher, lower, real (closest to real) or none.
+
+    `flag` marks values that can't be read as the others can.
+    """
 
     key: str
     label: str
     better: str
     digits: int
+    flag: Flag | None = None
 
     @property
     def heading(self) -> str:
@@ -95,7 +113,8 @@ def _column(spec: dict[str, Any]) -> Column:
     better = spec.get("better") or "none"
     if better not in ARROWS:
         raise ValueError(f"column {spec['key']!r}: better is {better!r}, it should be one of {', '.join(ARROWS)}")
-    return Column(spec["key"], spec.get("label", spec["key"]), better, int(spec.get("digits", 3)))
+    flag = Flag(**spec["flag"]) if "flag" in spec else None
+    return Column(spec["key"], spec.get("label", spec["key"]), better, int(spec.get("digits", 3)), flag)
 
 
 def _line(row: dict[str, Any], columns: tuple[Column, ...], form: Form) -> Line:
@@ -106,7 +125,8 @@ def _line(row: dict[str, Any], columns: tuple[Column, ...], form: Form) -> Line:
     cells = []
     for column in columns:
         found = [float(r[column.key]) for r in results if r.get(column.key) is not None]
-        cells.append(Cell(measure(found, form), _published(published.get(column.key))))
+        ours, paper = measure(found, form), _published(published.get(column.key))
+        cells.append(Cell(ours, paper, flagged=column.flag is not None and column.flag.marks(ours)))
     label = row.get("label", row["key"])
     why = row.get("cannot") or ""
     note = why or row.get("note") or ""
@@ -128,7 +148,7 @@ def _with_best(columns: tuple[Column, ...], lines: tuple[Line, ...]) -> tuple[Li
     for i, column in enumerate(columns):
         best = _best(column, i, lines)
         if best is not None:
-            cells[best][i] = Cell(cells[best][i].ours, cells[best][i].paper, best=True)
+            cells[best][i] = replace(cells[best][i], best=True)
     return tuple(replace(line, cells=tuple(c)) for line, c in zip(lines, cells, strict=True))
 
 

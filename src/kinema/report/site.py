@@ -4,50 +4,66 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinema.atomic import write_text
-from kinema.report.cells import Cell, Grid, Line, grid
-from kinema.report.effects import HEADINGS, Effect, effects
+from kinema.report.cells import FLAG, Cell, Column, Grid, Line
+from kinema.report.content import content_of
+from kinema.report.effects import HEADINGS, Effect
 from kinema.report.effects import csv_text as effects_csv
+from kinema.report.packs import sweep, write_pack
 from kinema.report.page import html_page
-from kinema.report.text import EFFECTS, effects_legend, flatten, legend, notes_by_text, notice, unfinished
+from kinema.report.text import (
+    EFFECTS,
+    effects_legend,
+    flags_legend,
+    flatten,
+    legend,
+    notes_by_text,
+    notice,
+    unfinished,
+)
 
 if TYPE_CHECKING:
     from kinema.types import Motion
 
 
 def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[Motion]] | None = None) -> list[Path]:
-    """Write table.md, table.csv, table.tex, index.html and, of its effects, effects.csv; gives their paths.
+    """Write table.md, table.csv, table.tex, table.json, index.html, motions/ and, of its effects, effects.csv.
 
     `table` has name, title, columns, rows and, if known, corpus, scale, panel (the corpus of the published numbers),
-    comparable (whether corpus and scale are the same), intervals (student or published), provenance, footnotes, effects
-    and breakdowns. `motions` are shown by row
-    key.
+    comparable (whether corpus and scale are the same), intervals (student or published), provenance, footnotes,
+    effects, breakdowns and runs (cards.py). `motions` are shown by row key. table.json holds all that pages are made
+    of. Gives the paths of the files, those of motions aside.
     """
-    main = grid(table, mark_best=table.get("mark_best", True))
-    parts = [b | {"intervals": main.intervals} for b in table.get("breakdowns", ()) if b["rows"]]
-    breakdowns = [(part["title"], grid(part)) for part in parts]
-    seen = effects(table, main)
-    known = [line.key for line in main.lines]
+    content = content_of(table)
+    known = [line.key for line in content.main.lines]
     stray = sorted(set(motions or {}) - set(known))
     if stray:
         raise ValueError(f"motions are given for {stray[0]!r}, which is no row of the table; rows: {', '.join(known)}")
     out = Path(out_dir)
+    packs = {key: write_pack(found, out) for key, found in sorted((motions or {}).items()) if found}
+    sweep(out, packs)
+    content = replace(content, table={**table, "motions": packs})
+    main, seen = content.main, content.seen
     return [
-        write_text(out / "table.md", markdown(table, main, breakdowns, seen)),
+        write_text(out / "table.md", markdown(table, main, content.breakdowns, seen)),
         write_text(out / "table.csv", csv_text(main)),
         write_text(out / "table.tex", latex(table, main)),
+        write_text(out / "table.json", json.dumps(content.table, sort_keys=True, ensure_ascii=False) + "\n"),
         *([write_text(out / "effects.csv", effects_csv(seen))] if seen else []),
-        write_text(out / "index.html", html_page(table, main, breakdowns, seen, motions or {})),
+        write_text(out / "index.html", html_page(content)),
     ]
 
 
 def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]], seen: Sequence[Effect] = ()) -> str:
     """Write the whole report but the motions."""
     parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), legend(main)]
+    parts += filter(None, [flags_legend(main)])
     notes = [f"- {note}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))]
     if notes:
         parts += ["## Notes", "\n".join(notes)]
@@ -55,7 +71,7 @@ def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid
         rows = [HEADINGS, ("---", "---", "--:", "--:", "---"), *(effect.cells for effect in seen)]
         parts += [f"## {EFFECTS}", effects_legend(main), "\n".join(f"| {' | '.join(row)} |" for row in rows)]
     for title, content in breakdowns:
-        parts += [f"## {title}", _markdown_grid(content)]
+        parts += [f"## {title}", _markdown_grid(content), *filter(None, [flags_legend(content)])]
     facts = flatten(table.get("provenance", {}))
     if facts:
         parts += ["## Provenance", "\n".join(f"- {key}: `{value}`" for key, value in facts)]
@@ -120,10 +136,12 @@ def _markdown_grid(content: Grid) -> str:
 
 
 def _ours(content: Grid, line: Line) -> list[tuple[str, bool]]:
-    return [
-        (cell.ours.text(column.digits) if cell.ours else "", cell.best)
-        for column, cell in zip(content.columns, line.cells, strict=True)
-    ]
+    return [(_our_text(column, cell), cell.best) for column, cell in zip(content.columns, line.cells, strict=True)]
+
+
+def _our_text(column: Column, cell: Cell) -> str:
+    text = cell.ours.text(column.digits) if cell.ours else ""
+    return f"{text} {FLAG}" if cell.flagged else text
 
 
 def _paper(content: Grid, line: Line) -> list[str]:
@@ -147,7 +165,8 @@ def _tex_ours(cell: tuple[str, bool], line: Line) -> str:
 
 
 def _tex_value(text: str) -> str:
-    return text if text == "not finite" else f"${text.replace('±', chr(92) + 'pm')}$"
+    signs = text.replace("±", r"\pm").replace(f" {FLAG}", r"^{\dagger}")
+    return text if text == "not finite" else f"${signs}$"
 
 
 def _tex(text: str) -> str:

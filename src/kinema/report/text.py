@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kinema.report.cells import Grid
+from kinema.report.cells import FLAG, Grid
 from kinema.report.intervals import explain
 
 EFFECTS = "Effects, here and in the paper"
@@ -36,6 +36,13 @@ def legend(main: Grid) -> str:
     if any(line.seeds for line in main.lines):
         text += " n seeds: over models of that many training seeds, each the mean of its replications."
     return f"{text} Bold: the best method, if its interval overlaps no other method's." if main.marked else text
+
+
+def flags_legend(content: Grid) -> str:
+    """Say what the marks of a table mean; nothing if no cell has one."""
+    columns = enumerate(content.columns)
+    flags = dict.fromkeys(c.flag for i, c in columns if c.flag and any(line.cells[i].flagged for line in content.lines))
+    return " ".join(f"{FLAG} above {flag.above:g}: {flag.means}." for flag in flags)
 
 
 def effects_legend(main: Grid) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 import shutil
 import subprocess
@@ -16,7 +17,8 @@ import pytest
 import kinema.motion.view.html as viewer
 from kinema.motion.skeleton import HUMANML3D, KIT
 from kinema.motion.view.body import body_of, joint_sides
-from kinema.motion.view.html import pack, save_html, viewer_fragment
+from kinema.motion.view.html import SCRIPTS, save_html, viewer_fragment
+from kinema.motion.view.packed import pack, ranges
 from kinema.types import Motion
 
 
@@ -41,9 +43,9 @@ def motion(wander) -> Motion:
 
 
 def unpack(player: dict[str, str], joints: int) -> np.ndarray:
-    integers = np.frombuffer(base64.b64decode(player["data-joints"]), "<i2").reshape(-1, joints, 3)
-    centre = np.array([float(c) for c in player["data-centre"].split(",")])
-    return integers * float(player["data-scale"]) + centre
+    motion = json.loads(player["data-motion"])
+    integers = np.frombuffer(base64.b64decode(motion["joints"]), "<i2").reshape(-1, joints, 3)
+    return integers * motion["scale"] + np.array(motion["centre"])
 
 
 @pytest.mark.parametrize("skeleton", [HUMANML3D, KIT], ids=lambda s: s.name)
@@ -99,7 +101,7 @@ def test_broken_motion_is_named_instead_of_played(motion):
     joints[7:, 3] = np.nan
     text = viewer_fragment([motion, replace(motion, joints=joints)])
     assert "Not finite from frame 7" in text
-    assert sum("data-joints" in player for player in Players(text).players) == 1
+    assert sum("data-motion" in player for player in Players(text).players) == 1
 
 
 def test_bad_input_is_named(motion, tmp_path):
@@ -121,10 +123,20 @@ def test_sides_and_head(wander, skeleton):
     assert 0.5 < body.stature < 3
 
 
-def test_script_is_valid_javascript():
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_script_is_valid_javascript(name):
     node = shutil.which("node")
     if node is None:
-        pytest.skip("node is not installed; it checks the syntax of viewer.js")
-    script = Path(viewer.__file__).with_name("viewer.js")
+        pytest.skip(f"node is not installed; it checks the syntax of {name}")
+    script = Path(viewer.__file__).with_name(name)
     done = subprocess.run([node, "--check", str(script)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+def test_kept_frames_are_ranges(motion):
+    mask = np.zeros(50, bool)
+    mask[:10] = mask[40:] = mask[20] = True
+    assert ranges(mask) == [(0, 10), (20, 21), (40, 50)]
+    assert ranges(None) == ranges(np.zeros(5, bool)) == []
+    (player,) = Players(viewer_fragment([replace(motion, kept=mask)])).players
+    assert json.loads(player["data-motion"])["kept"] == [[0, 10], [20, 21], [40, 50]]

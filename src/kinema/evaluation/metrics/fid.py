@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -63,15 +62,6 @@ def frechet_distance(
     cross = torch.linalg.eigvalsh((inner + inner.T) / 2).clamp(min=0).sqrt().sum()
     distance = (mean_a - mean_b).square().sum() + cov_a.trace() + cov_b.trace() - 2 * cross
     return distance.clamp(min=0)
-
-
-def half_against_half(embeddings: Float[Tensor, "n e"], seed: int) -> float:
-    """Return the FID of one random half of real embeddings to the other: what a perfect model of that N scores."""
-    order = torch.from_numpy(np.random.default_rng(seed).permutation(len(embeddings))).to(embeddings.device)
-    half = len(embeddings) // 2
-    metric = FrechetDistance(embeddings.shape[1], sync_on_compute=False)
-    metric.update(embeddings[order[:half]], embeddings[order[half : 2 * half]])
-    return float(metric.compute())
 
 
 def _matrix_root(matrix: Float[Tensor, "e e"]) -> Float[Tensor, "e e"]:

@@ -1,4 +1,4 @@
-"""Measure what the evaluators hardly see: skating, jitter, turns, speed (kinema.motion.physics)."""
+"""Measure what the evaluators hardly see: skating, jitter, floor, turns, speed (kinema.motion.physics)."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ TURNING = math.radians(30)
 """A real clip that turns by more counts for turn_ratio."""
 
 
+MEASURES = {"skating": "foot_skating", "jitter": "jitter", "float": "float_mm", "penetration": "penetration_mm"}
+"""States that are means over clips, and the keys of these means."""
+
+
 class Physical(Metric):
     """Compare generated with real motion of the same captions.
 
-    foot_skating, jitter: means over clips (real_foot_skating, real_jitter beside them). turn_ratio: generated |turn|
+    foot_skating, jitter, float_mm, penetration_mm: means over clips, real_* beside them. turn_ratio: generated |turn|
     over real |turn|, summed over the clips whose real turn exceeds 30 degrees; absent where none does.
     root_speed_ratio: deviation of the horizontal root velocity over all frames, generated over real. 1 is best for
     both ratios.
@@ -29,12 +33,8 @@ class Physical(Metric):
 
     is_differentiable, full_state_update = False, False
     clips: Tensor
-    generated_skating: Tensor
-    generated_jitter: Tensor
     generated_turn: Tensor
     generated_velocity: Tensor
-    real_skating: Tensor
-    real_jitter: Tensor
     real_turn: Tensor
     real_velocity: Tensor
 
@@ -42,7 +42,7 @@ class Physical(Metric):
         super().__init__(**kwargs)
         self.skeleton = skeleton
         for side in ("generated", "real"):
-            for name in ("skating", "jitter", "turn"):
+            for name in (*MEASURES, "turn"):
                 self.add_state(f"{side}_{name}", torch.zeros(()), dist_reduce_fx="sum")
             # Rows: frames, sum and sum of squares of the x and z velocity.
             self.add_state(f"{side}_velocity", torch.zeros(3, 2), dist_reduce_fx="sum")
@@ -55,22 +55,20 @@ class Physical(Metric):
         for side, batch in (("generated", generated), ("real", real)):
             require_finite(batch.features, f"{side} features", batch.clip_ids)
             joints = recover_joints(batch.features, self.skeleton)
-            skating = physics.foot_skating(joints, batch.lengths, self.skeleton)
+            floating, penetration = physics.floor_distances(joints, batch.lengths, self.skeleton)
+            self._add(f"{side}_skating", physics.foot_skating(joints, batch.lengths, self.skeleton).sum())
             jitter = physics.jitter(joints, batch.lengths, self.skeleton.fps, self.skeleton.unit)
-            self._add(f"{side}_skating", skating.sum())
             self._add(f"{side}_jitter", jitter.sum())
+            self._add(f"{side}_float", floating.sum())
+            self._add(f"{side}_penetration", penetration.sum())
             self._add(f"{side}_turn", turns[side][turning].sum())
             self._add(f"{side}_velocity", _velocity_moments(batch))
         self.clips += len(generated.lengths)
 
     def compute(self) -> dict[str, Tensor]:
         """Return the measures whose denominators are not zero."""
-        out = {
-            "foot_skating": self.generated_skating / self.clips,
-            "jitter": self.generated_jitter / self.clips,
-            "real_foot_skating": self.real_skating / self.clips,
-            "real_jitter": self.real_jitter / self.clips,
-        }
+        out = {key: getattr(self, f"generated_{name}") / self.clips for name, key in MEASURES.items()}
+        out |= {f"real_{key}": getattr(self, f"real_{name}") / self.clips for name, key in MEASURES.items()}
         if self.real_turn > 0:
             out["turn_ratio"] = self.generated_turn / self.real_turn
         speed = _deviation(self.real_velocity)

@@ -45,8 +45,7 @@ class Retrieval(Metric):
             chosen = keep[: len(ranks)].to(ranks.device)
             ranks, distances = ranks[chosen], distances[chosen]
         ranks, distances = ranks.to(self.hits.device), distances.to(self.hits.device)
-        levels = torch.arange(TOP, device=ranks.device)
-        self.hits += (ranks[:, None] <= levels).sum(0)
+        self.hits += hits_at(ranks)
         self.distance += distances.sum()
         self.count += len(ranks)
 
@@ -56,6 +55,11 @@ class Retrieval(Metric):
             return {}
         precision = {f"r{k + 1}": self.hits[k] / self.count for k in range(TOP)}
         return precision | {"matching": self.distance / self.count}
+
+
+def hits_at(ranks: Int[Tensor, " n"]) -> Int[Tensor, " k"]:
+    """Count the ranks (from 0) that are among the first 1, 2 and 3."""
+    return (ranks[:, None] <= torch.arange(TOP, device=ranks.device)).sum(0)
 
 
 def pool_ranks(

@@ -1,4 +1,7 @@
-"""Measure what no table shows: `kinema reproduce NAME` for a file of conf/page, carried out by the module NAME."""
+"""Measure what no table shows: `kinema reproduce NAME` for a file of conf/page, carried out by the module NAME.
+
+Pages of one kind name the module that makes them as their `author`.
+"""
 
 from __future__ import annotations
 
@@ -32,5 +35,6 @@ def load_page(name: str) -> dict[str, Any]:
 def make_page(request: Request) -> list[Path]:
     """Carry out what a page asks for, and return what was written."""
     request.refuse_options_of_tables()
-    author = cast(Author, importlib.import_module(f"{__name__}.{request.name}"))
-    return author.carry_out(load_page(request.name), request)
+    page = load_page(request.name)
+    author = cast(Author, importlib.import_module(f"{__name__}.{page.get('author', request.name)}"))
+    return author.carry_out(page, request)

@@ -21,6 +21,8 @@ from kinema.experiments.pages.sections import Rows, Section, write_page
 from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.request import Request
 from kinema.experiments.stages import get_stage
+from kinema.experiments.stages.generator import GeneratorStage
+from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.pipeline import TextToMotion
 from kinema.runs.build import build
 from kinema.runs.console import console
@@ -66,7 +68,7 @@ def count(cfg: DictConfig, page: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def trained(model: TextToMotion) -> dict[str, Any]:
     """Return the parts of a method that learn, by their names."""
-    parts = {"tokenizer": model.tokenizer, "generator": model.generator, **model.parts}
+    parts = {TokenizerStage.name: model.tokenizer, GeneratorStage.name: model.generator, **model.parts}
     return {name: part for name, part in parts.items() if any(p.requires_grad for p in part.parameters())}
 
 

@@ -5,20 +5,24 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from kinema.atomic import replacing, write_text
+from kinema.atomic import replacing, write_json, write_text
 from kinema.motion.view.draw import new_figure
+from kinema.report.packs import sweep, write_pack
+from kinema.report.sections import sections_page
 from kinema.report.text import flatten
 from kinema.runs.console import console
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from kinema.types import Motion
 
 Rows = list[dict[str, Any]]
 
@@ -34,24 +38,46 @@ class Section:
     inches: tuple[float, float] = field(default=(9.0, 4.0))
 
 
-def write_page(page: dict[str, Any], sections: list[Section], provenance: dict[str, Any], out: Path) -> list[Path]:
-    """Write NAME.csv and, where matplotlib is installed, NAME.png of each section, and README.md.
+def write_page(
+    page: dict[str, Any],
+    sections: list[Section],
+    provenance: dict[str, Any],
+    out: Path,
+    motions: Mapping[str, Sequence[Motion]] | None = None,
+    where: str = "",
+) -> list[Path]:
+    """Write NAME.csv and, where matplotlib is installed, NAME.png of each section, README.md, page.json, index.html.
 
-    `page` holds the page's `title` and `lead`, and title and text of every section by its name.
+    `page` holds the page's `title` and `lead`, and title and text of every section by its name. `motions` are played on
+    the web page, by the label of who made them; `where` says on which corpus and scale.
     """
-    written, blocks = [], [f"# {page['title']}", page["lead"].strip()]
+    written, blocks, parts = [], [f"# {page['title']}", page["lead"].strip()], []
     for section in sections:
-        about = page["sections"][section.name]
+        about, image = page["sections"][section.name], f"{section.name}.png"
         written.append(write_text(out / f"{section.name}.csv", csv_text(section.rows)))
         blocks += [f"## {about['title']}", about["text"].strip()]
         try:
-            written.append(_draw(section, out / f"{section.name}.png"))
-            blocks.append(f"![{about['title']}]({section.name}.png)")
+            written.append(_draw(section, out / image))
+            blocks.append(f"![{about['title']}]({image})")
         except ImportError as error:
+            image = ""
             console.print(f"[yellow]note[/]      no figure {section.name}: {escape(str(error))}")
         blocks += [markdown(section.shown), f"All numbers: [{section.name}.csv]({section.name}.csv)."]
+        parts.append({"name": section.name, **about, "image": image, "rows": section.shown})
     facts = "\n".join(f"- {key}: `{value}`" for key, value in flatten(provenance))
-    return [*written, write_text(out / "README.md", "\n\n".join([*blocks, "## Provenance", facts]) + "\n")]
+    told = {"title": page["title"], "lead": page["lead"], "sections": parts, "provenance": provenance}
+    if motions:
+        packs = {label: write_pack(made, out) for label, made in motions.items()}
+        sweep(out, packs)
+        sources = [{"label": label, "kind": "method", **pack} for label, pack in packs.items()]
+        told["motions"] = {"title": page["title"], "where": where, "sources": sources}
+        blocks.append("The motions play in index.html.")
+    return [
+        *written,
+        write_text(out / "README.md", "\n\n".join([*blocks, "## Provenance", facts]) + "\n"),
+        write_json(out / "page.json", told),
+        write_text(out / "index.html", sections_page(told)),
+    ]
 
 
 def csv_text(rows: Rows) -> str:

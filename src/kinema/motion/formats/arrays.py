@@ -19,7 +19,7 @@ def save_npy(motion: Motion, path: str | Path) -> Path:
 
 
 def save_npz(motion: Motion, path: str | Path) -> Path:
-    """Write everything a motion holds: joints, features, text, fps, skeleton and, if it has one, seed."""
+    """Write all that a motion holds: joints, features, text, fps, skeleton; if it has them, seed and kept frames."""
     content: dict[str, Any] = {
         "joints": np.asarray(motion.joints, dtype=np.float32),
         "features": np.asarray(motion.features, dtype=np.float32),
@@ -29,6 +29,8 @@ def save_npz(motion: Motion, path: str | Path) -> Path:
     }
     if motion.seed is not None:
         content["seed"] = np.array(motion.seed, dtype=np.int64)
+    if motion.kept is not None:
+        content["kept"] = motion.kept
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **content)
     return Path(path)
@@ -69,4 +71,5 @@ def load_npz(path: str | Path) -> Motion:
         skeleton=str(content["skeleton"]),
         fps=float(content["fps"]),
         seed=int(content["seed"]) if "seed" in content else None,
+        kept=content.get("kept"),
     )

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 from importlib import resources
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from kinema.atomic import write_text
-from kinema.motion.view.body import Body, body_of, metres
+from kinema.motion.view.packed import broken_from, playable
 
 if TYPE_CHECKING:
     from kinema.types import Motion
 
-_INT16 = 32767
+SCRIPTS = ("track.js", "scene.js", "viewer.js")
 
 
 def save_html(motions: Sequence[Motion], path: str | Path, title: str = "Kinema motions") -> Path:
@@ -30,15 +29,27 @@ def save_html(motions: Sequence[Motion], path: str | Path, title: str = "Kinema 
     return write_text(path, page(title, f"<main class='kinema-page'>{heading}{viewer_fragment(motions)}</main>"))
 
 
-def page(title: str, body: str, style: str = "") -> str:
-    """Wrap a body into a complete HTML document that follows the reader's dark or light preference."""
+def page(title: str, body: str, style: str = "", script: str = "") -> str:
+    """Wrap a body into a complete HTML document that follows the reader's dark or light preference.
+
+    With a `script` the document runs this one, and scripts of files beside it, and nothing else.
+    """
     return (
         "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
-        "<meta name='color-scheme' content='light dark'>\n"
+        f"<meta name='color-scheme' content='light dark'>\n{_policy(script)}"
         f"<title>{escape(title)}</title>\n<style>\n{_asset('theme.css')}{_asset('page.css')}{style}</style>\n</head>\n"
-        f"<body>\n{body}\n</body>\n</html>\n"
+        f"<body>\n{body}\n{f'<script>{script}</script>' if script else ''}\n</body>\n</html>\n"
     )
+
+
+def _policy(script: str) -> str:
+    if not script:
+        return ""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    scripts = f"'sha256-{digest}' 'self' file:"
+    rules = f"default-src 'none'; img-src 'self' file:; style-src 'unsafe-inline'; script-src {scripts}"
+    return f'<meta http-equiv="Content-Security-Policy" content="{rules}">\n'
 
 
 def viewer_fragment(
@@ -60,71 +71,45 @@ def viewer_fragment(
         heading = f"<h3 class='kinema-group'>{escape(group)}</h3>\n" if group else ""
         sections.append(f"{heading}<div class='kinema-grid'>\n{figures}\n</div>")
     return (
-        f"<style>\n{_asset('theme.css')}{_asset('viewer.css')}</style>\n<section class='kinema-viewer'>\n{_TOOLBAR}\n"
+        f"<style>\n{viewer_style()}</style>\n<section class='kinema-viewer'>\n{TOOLBAR}\n"
         + "\n".join(sections)
-        + f"\n<noscript>The players need JavaScript.</noscript>\n</section>\n<script>\n{_asset('viewer.js')}</script>"
+        + f"\n<noscript>The players need JavaScript.</noscript>\n</section>\n<script>\n{viewer_script()}</script>"
     )
 
 
-@dataclass(frozen=True)
-class Packed:
-    """Hold joints in metres as 16-bit integers: `value = integer * scale + centre`, per axis centre, one scale."""
-
-    data: str
-    scale: float
-    centre: tuple[float, float, float]
+def viewer_style() -> str:
+    """Return what players look like."""
+    return _asset("theme.css") + _asset("viewer.css")
 
 
-def pack(joints: np.ndarray) -> Packed:
-    """Quantise joint positions (frames, joints, 3) to int16 in base64; the error is at most half of `scale`."""
-    flat = joints.reshape(-1, 3).astype(np.float64)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    centre = (low + high) / 2
-    scale = max(float((high - low).max()) / 2 / _INT16, 1e-9)
-    integers = np.rint((flat - centre) / scale).clip(-_INT16, _INT16).astype("<i2")
-    x, y, z = (float(c) for c in centre)
-    return Packed(base64.b64encode(integers.tobytes()).decode(), scale, (x, y, z))
+def viewer_script() -> str:
+    """Return the script that plays the players that stand before it; a page may hold it several times."""
+    return f"if (!window.kinema) {{\nwindow.kinema = {{}};\n{''.join(map(_asset, SCRIPTS))}}}\nwindow.kinema.scan();\n"
 
 
 def _figure(motion: Motion, label: str, group: str) -> str:
-    """Make one player; what it needs to draw stands in data attributes."""
-    body = body_of(motion)
-    joints = metres(motion)
-    caption = "" if motion.text == group else escape(motion.text)
-    facts = [f"{len(joints)} frames", f"{len(joints) / motion.fps:.1f} s"]
+    """Make one player; what it needs to draw stands in a data attribute, which is read when it comes into view."""
+    frames = len(motion.joints)
+    facts = [f"{frames} frames", f"{frames / motion.fps:.1f} s"]
     if motion.seed is not None:
         facts.append(f"seed {motion.seed}")
+    caption = "" if motion.text == group else escape(motion.text)
     text = (
         "<figcaption>"
         + (f"<span class='kinema-label'>{escape(label)}</span>" if label else "")
         + (f"<span class='kinema-caption'>{caption}</span>" if caption else "")
         + f"<span class='kinema-facts'>{' · '.join(facts)}</span></figcaption>"
     )
-    broken = np.flatnonzero(~np.isfinite(joints).all(axis=(1, 2)))
-    if len(broken):
-        panel = f"<p>Not finite from frame {broken[0]} on:<br>this motion cannot be shown.</p>"
+    broken = broken_from(motion)
+    if broken is not None:
+        panel = f"<p>Not finite from frame {broken} on:<br>this motion cannot be shown.</p>"
         return f"<figure class='kinema-player kinema-broken'><div class='kinema-stage'>{panel}</div>{text}</figure>"
-    name = escape(motion.text or label or "motion")
+    data = escape(json.dumps(playable(motion), separators=(",", ":")))
     return (
-        f"<figure class='kinema-player' {_attributes(body, pack(joints), motion.fps)}>"
-        f"<div class='kinema-stage'><canvas tabindex='0' role='img' aria-label='{name}'></canvas></div>"
-        f"{_CONTROLS}{text}</figure>"
+        f'<figure class="kinema-player" data-fps="{motion.fps:g}" data-frames="{frames}" data-motion="{data}">'
+        "<div class='kinema-stage'><canvas tabindex='0' role='img' "
+        f"aria-label='{escape(motion.text or label or 'motion')}'></canvas></div>{text}</figure>"
     )
-
-
-def _attributes(body: Body, packed: Packed, fps: float) -> str:
-    values = {
-        "fps": f"{fps:g}",
-        "parents": ",".join(map(str, body.parents)),
-        "sides": ",".join(map(str, body.sides)),
-        "face": ",".join(map(str, body.face_joints)),
-        "head": str(body.head),
-        "stature": f"{body.stature:.4f}",
-        "scale": f"{packed.scale:.9g}",
-        "centre": ",".join(f"{c:.6g}" for c in packed.centre),
-        "joints": packed.data,
-    }
-    return " ".join(f"data-{key}='{value}'" for key, value in values.items())
 
 
 def _parallel(names: Sequence[str] | None, motions: Sequence[Motion], what: str) -> Sequence[str]:
@@ -144,15 +129,11 @@ def _asset(name: str) -> str:
     return resources.files("kinema.motion.view").joinpath(name).read_text(encoding="utf-8")
 
 
-_CONTROLS = (
-    "<div class='kinema-controls'><button type='button' class='kinema-play' aria-label='Play or pause'></button>"
-    "<input type='range' min='0' value='0' step='1' aria-label='Frame'>"
-    "<output class='kinema-clock'></output></div>"
-)
-
-_TOOLBAR = """<div class='kinema-toolbar' role='toolbar' aria-label='All motions'>
+TOOLBAR = """<div class='kinema-toolbar' role='toolbar' aria-label='All motions'>
 <button type='button' data-action='play'>Pause all</button>
 <button type='button' data-action='sync' aria-pressed='false' title='One clock and one camera for all'>In sync</button>
+<label hidden>Time <input type='range' min='0' max='1' step='0.001' value='0' data-action='seek'
+aria-label='Time of all motions'></label>
 <button type='button' data-action='follow' aria-pressed='true' title='The camera follows the root'>Follow</button>
 <button type='button' data-action='trail' aria-pressed='true' title='Path of the root on the ground'>Trail</button>
 <button type='button' data-action='reset' title='Reset the cameras'>Reset view</button>
@@ -162,3 +143,4 @@ _TOOLBAR = """<div class='kinema-toolbar' role='toolbar' aria-label='All motions
 <span class='kinema-hint'>drag to orbit · click, then wheel to zoom · double-click resets ·
 space plays · ← → step</span>
 </div>"""
+"""The controls of all players of a page."""
