@@ -27,7 +27,18 @@ CHECKER = (
 CHECKED = ("types", "atomic", "locks", "seeds", "devices", "masking", "nn", "motion", "data", "diffusion", "decoding")
 CHECKED += ("runs", "pipeline", "evaluation", "report", "experiments", "cli", "generators", "tokenizers", "interop")
 CHECKED += tuple(
-    f"training.{name}" for name in ("callbacks", "checkpoint", "latents", "modules", "pace", "progress", "record")
+    f"training.{name}"
+    for name in (
+        "callbacks",
+        "checkpoint",
+        "dashboards",
+        "latents",
+        "modules",
+        "observers",
+        "pace",
+        "progress",
+        "record",
+    )
 )
 # Not `text.hashed`, `text.cache` and `training.recipe`: tests pass them what is wrong, which they refuse by themselves.
 CHECKED += tuple(f"text.{name}" for name in ("clip", "files", "frozen", "minilm", "packed", "tokens", "vip", "words"))
