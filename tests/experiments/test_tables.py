@@ -18,6 +18,7 @@ from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.jobs import JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
+from kinema.report.cells import grid
 
 FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
 COMMAND = "make reproduce-table5"

@@ -93,7 +93,7 @@ def _show_results(cfg: DictConfig, folder: Path, made: Sequence[Dashboard]) -> N
 
 
 def show_table(cfg: DictConfig, name: str, identity: str, written: Sequence[Path]) -> None:
-    """Show a rendered table, the published numbers beside ours, and its page."""
+    """Show a rendered table, the published numbers beside ours; its motions are with the evaluations."""
     asked = [kind for kind in kinds(cfg.logger.names) if kind.takes_results]
     if not asked:
         return
@@ -105,7 +105,6 @@ def show_table(cfg: DictConfig, name: str, identity: str, written: Sequence[Path
     with opened(cfg, asked, folder, label, "table", name) as made:
         for dashboard in made:
             dashboard.table(name, files["table.md"].read_text(encoding="utf-8"), rows)
-            dashboard.page(0, "report", files["index.html"])
     _tell(asked, folder)
 
 
