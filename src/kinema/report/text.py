@@ -35,6 +35,8 @@ def legend(main: Grid) -> str:
     text = f"Mean ± 95 % interval over n replications ({how}; one replication has none)."
     if any(line.seeds for line in main.lines):
         text += " n seeds: over models of that many training seeds, each the mean of its replications."
+    if any(cell.ours is None for line in main.lines if line.replications for cell in line.cells):
+        text += " –: not applicable to the row, or scored before the metric was there."
     return f"{text} Bold: the best method, if its interval overlaps no other method's." if main.marked else text
 
 
