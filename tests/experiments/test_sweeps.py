@@ -113,7 +113,7 @@ def test_a_row_of_several_seeds_is_shown_as_one(micro, tmp_path):
     assert "| Real motion | 2 |" in shown
 
 
-def test_a_plan_tells_what_is_there_and_what_the_rest_took_before(micro, tmp_path, capsys):
+def test_a_plan_tells_what_is_there_and_what_the_rest_took_before(micro, micro_tables, tmp_path, capsys):
     runs = f"paths.runs={tmp_path}"
     for row in plan(small("real"), [*micro, runs, "seed=5", "evaluator.seed=5"]):
         scored(row.place, fid=1.0)
@@ -123,8 +123,12 @@ def test_a_plan_tells_what_is_there_and_what_the_rest_took_before(micro, tmp_pat
     assert "cached 0 of" in said
     assert "0 of 9 rows" in said
     assert "would run unknown kinema train stage=tokenizer" in said
-    assert "would run 2 s kinema evaluate" in said  # two replications like those of the other seed
+    assert said.count("would run 1 s kinema evaluate") == 2  # replications like those of the other seed
+    assert "replications=[1]" in said
     assert sorted(tmp_path.rglob("*")) == before
+    reproduce.main(["table2", *micro_tables, runs, "--plan"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "scale.protocol.mm_texts=0 source=real" in said  # what the table itself says is part of the commands
 
 
 def test_the_time_of_a_training_follows_from_runs_like_it(micro, tmp_path):

@@ -63,12 +63,9 @@ def reproduce(name: str, overrides: list[str], **options: Any) -> None:
         if request.plan:
             console.print(f"plan      {name} is a page: what it lacks is known when it is made")
             return
-        for path in make_page(request):
-            console.print(f"wrote     {path}")
+        _tell_written(make_page(request), request)
     else:
         _reproduce_table(load_table(name), request)
-    if request.out is None and not request.plan:
-        write_site("reports")
 
 
 def _reproduce_table(table: dict[str, Any], request: Request) -> None:
@@ -77,21 +74,20 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
         return
     if request.intervals is not None:
         table["intervals"] = request.intervals
-    rows = plan(table, request.shared, request.seeds)
+    rows, own = plan(table, request.shared, request.seeds), table.get("overrides", [])
     if request.plan:
-        print_plan(missing_jobs(rows, request.shared), rows)
+        print_plan(missing_jobs(rows, [*request.shared, *own], request.replications), rows)
         return
     failure: JobsFailedError | None = None
     if not request.render_only and any(row.cfg is not None and not row.complete for row in rows):
         try:
-            run_missing(rows, [*table.get("overrides", []), f"logger.group={request.name}"], request)
+            run_missing(rows, [*own, f"logger.group={request.name}"], request)
         except JobsFailedError as error:
             failure = error
         rows = plan(table, request.shared, request.seeds)
         rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
     written = render_table(table, rows, request.folder(), request.command)
-    for path in written:
-        console.print(f"wrote     {path}")
+    _tell_written(written, request)
     some = next(row.cfg for row in rows if row.cfg is not None)
     show_table(some, request.name, fingerprint(request.command), written)
     lacking = [row.label for row in rows if row.cfg is not None and not row.complete]
@@ -100,6 +96,14 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
     if failure is not None:
         raise failure
+
+
+def _tell_written(paths: list[Path], request: Request) -> None:
+    """Name what was written; the site over reports/ follows, unless the report went elsewhere."""
+    for path in paths:
+        console.print(f"wrote     {path}")
+    if request.out is None:
+        write_site("reports")
 
 
 def run_missing(rows: list[TableRow], own: list[str], request: Request) -> None:
