@@ -15,6 +15,7 @@ from kinema import __version__, cli, interop
 from kinema.motion import body_parts
 from kinema.motion.formats.arrays import load_npy, load_npz
 from kinema.motion.skeleton import HUMANML3D
+from kinema.runs.folder import RunFolder
 
 
 def published_autoencoder() -> dict[str, torch.Tensor]:
@@ -167,10 +168,15 @@ def test_doctor_examines_the_corpus_that_overrides_name(tmp_path, capsys):
     fails(capsys, ["doctor", str(tmp_path), "data=synthetic"], "doctor takes one path, or KEY=VALUE overrides")
 
 
-def test_hydra_reads_the_words_behind_the_command_and_lightning_all(monkeypatch):
+def test_hydra_reads_the_words_behind_the_command_and_lightning_all(tmp_path, monkeypatch):
     """Processes of further devices are started with what sys.argv was, so the job has to see it whole."""
     seen = []
-    monkeypatch.setattr("kinema.experiments.run.run_stage", lambda cfg, stage: seen.append((stage, cfg.seed, sys.argv)))
+
+    def run_stage(cfg, stage):
+        seen.append((stage, cfg.seed, sys.argv))
+        return RunFolder(tmp_path)
+
+    monkeypatch.setattr("kinema.experiments.run.run_stage", run_stage)
     words = ["kinema", "train", "stage=tokenizer", "seed=3"]
     monkeypatch.setattr(sys, "argv", words)
     assert cli.main() == 0
