@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from statistics import median
-
-from omegaconf import DictConfig
 
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import scored_lines
@@ -37,7 +34,6 @@ def print_plan(jobs: list[Job], rows: list[TableRow]) -> None:
 
 def estimate(job: Job) -> float | None:
     """Return the seconds that a job like this took before: of its own kind and size, else by its number of steps."""
-    cfg = compose(list(job.overrides), job.command)
     alike = [path for path in job.makes.parent.glob("*") if _kind(path) == _kind(job.makes)]
     if job.command != TRAIN:
         seconds = [line["seconds"] for path in alike for line in scored_lines(path)]
@@ -45,13 +41,16 @@ def estimate(job: Job) -> float | None:
     finished = [RunFolder(path).status for path in alike if RunFolder(path).done]
     if finished:
         return median(status["seconds"] for status in finished)
-    return _by_steps(cfg, job.makes.parent.glob(f"{get_stage(cfg.stage).label(cfg)}-*"))
+    return _by_steps(job)
 
 
-def _by_steps(cfg: DictConfig, others: Iterable[Path]) -> float | None:
+def _by_steps(job: Job) -> float | None:
     """Scale the seconds of runs of the same method at another size by the number of steps."""
-    train = get_stage(cfg.stage).config(cfg).get("train")
+    cfg = compose(list(job.overrides), job.command)
+    stage = get_stage(cfg.stage)
+    train = stage.config(cfg).get("train")
     steps = None if train is None else train.get("steps")
+    others = job.makes.parent.glob(f"{stage.label(cfg)}-*")
     known = [status for path in others if (status := RunFolder(path).status).get("step")]
     return median(s["seconds"] / s["step"] for s in known) * steps if steps and known else None
 
