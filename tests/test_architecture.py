@@ -18,28 +18,29 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "nn", "masking"}
+FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "registry", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
     # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so are
-    # `atomic`, `locks`, `seeds` and `devices`, which know nothing else of kinema; text to generators that read strings
-    # and all behind; interop stands beside pipeline; report reads results only.
+    # `atomic`, `locks`, `seeds`, `devices` and `registry`, which know nothing else of kinema; text to generators that
+    # read strings and all behind; interop stands beside pipeline; report reads results only.
     "types": set(),
     "atomic": set(),
     "locks": set(),
     "seeds": set(),
     "devices": set(),
+    "registry": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
-    "motion": {"types", "atomic"},
+    "motion": {"types", "atomic", "registry"},
     "data": {"types", "atomic", "locks", "seeds", "motion"},
     "text": {"types", "atomic", "locks", "seeds"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
     "generators": {*MODEL, "text", "tokenizers"},
-    "runs": {"atomic", "locks"},
+    "runs": {"atomic", "locks", "registry"},
     "report": {"types", "atomic", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}

@@ -14,6 +14,7 @@ from torch import nn
 from kinema.atomic import write_json
 from kinema.pipeline import TextToMotion
 from kinema.runs import weights
+from kinema.runs.parts import write_text_encoder
 
 
 def tokenizer_of(parts):
@@ -79,8 +80,8 @@ def test_damaged_and_foreign_files_are_named(parts, tmp_path):
     [
         ({"width": 8}, "do not fit version"),
         ({"breadth": 8}, "breadth"),
-        ({"_target_": "os.system"}, "outside the trusted packages"),
-        ({"_target_": "kinema.motion.statistics.Statistics"}, "arguments"),
+        ({"_target_": "os.system"}, "no class that is marked @buildable"),
+        ({"_target_": "kinema.motion.statistics.Statistics"}, "no class that is marked @buildable"),
     ],
 )
 def test_a_spec_that_does_not_fit_its_weights_is_named(parts, tmp_path, change, message):
@@ -162,3 +163,17 @@ def test_another_text_encoder_than_in_training_is_refused(parts, run):
     with pytest.raises(ValueError, match="was trained with the text encoder clip_b32-abc, this one is hashed-64"):
         TextToMotion.from_run(run, "cpu")
     assert json.loads((run / "text.json").read_text())["encoder"] == "hashed"
+
+
+@pytest.mark.parametrize("path", ["someone/else", "/nowhere/clip", "../clip", "https://host/clip", "openai/clip-vit-x"])
+def test_a_text_encoder_outside_of_the_run_is_not_asked_for_by_a_file(run, path, monkeypatch):
+    monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **__: pytest.fail("the network was asked for"))
+    write_json(run / "text.json", {"encoder": "clip_b32", "path": path})
+    with pytest.raises(ValueError, match=r"text\.json takes its text encoder from .*, which lies outside"):
+        TextToMotion.from_run(run, "cpu")
+
+
+def test_a_text_encoder_that_training_was_given_is_read(run, tmp_path):
+    write_text_encoder(run, "clip_b32", str(tmp_path / "clip"))
+    with pytest.raises(FileNotFoundError, match=r"no CLIP model at .*clip"):
+        TextToMotion.from_run(run, "cpu")

@@ -7,6 +7,7 @@ import shutil
 import pytest
 import torch
 
+from kinema.atomic import write_json
 from kinema.generators.length import LengthEstimator
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder
@@ -59,3 +60,41 @@ def test_a_run_names_its_text_encoder(run):
     assert read_text_encoder(run) == {}
     write_text_encoder(run, "hashed", None)
     assert read_text_encoder(run) == {"encoder": "hashed", "path": None}
+
+
+@pytest.mark.parametrize(
+    "part",
+    ["/etc", "../../../elsewhere/tokenizer", "../../../..", "../../x/../../y", "a/../../../../b", "//host/share"],
+)
+def test_a_part_outside_of_the_tree_of_runs_is_not_followed(tmp_path, part):
+    run = tmp_path / "runs" / "generator" / "one"
+    write_json(run / "upstream.json", {"tokenizer": part})
+    with pytest.raises(ValueError, match=r"upstream\.json takes its tokenizer from .*, which lies outside"):
+        upstream(run)
+
+
+def test_a_part_outside_that_was_asked_for_is_followed_as_long_as_it_is_that_one(tmp_path, run):
+    mine = tmp_path / "other" / "generator" / "one"
+    link(mine, {"length": run})
+    assert upstream(mine) == {"length": run}
+    write_json(mine / "upstream.json", {"length": "/etc"})
+    with pytest.raises(ValueError, match=r"which lies outside; if you trust that: mkdir -p .* ln -sfn /etc"):
+        upstream(mine)
+
+
+@pytest.mark.parametrize("part", ["a", "../b", "../../tokenizer/c", "./d/e"])
+def test_parts_in_the_folder_and_in_its_tree_are_followed(tmp_path, part):
+    run = tmp_path / "runs" / "generator" / "one"
+    write_json(run / "upstream.json", {"tokenizer": part})
+    assert upstream(run) == {"tokenizer": (run / part).resolve()}
+    assert not (run / "asked").exists()
+
+
+@pytest.mark.parametrize("value", [None, 3, True, ["a"], {"a": "b"}])
+def test_values_of_another_type_are_named(tmp_path, value):
+    write_json(tmp_path / "upstream.json", {"tokenizer": value})
+    with pytest.raises(ValueError, match=r"upstream\.json says tokenizer=.*, no folder of a run"):
+        upstream(tmp_path)
+    write_json(tmp_path / "text.json", {"encoder": value, "path": None})
+    with pytest.raises(ValueError, match=r"text\.json says encoder="):
+        read_text_encoder(tmp_path)

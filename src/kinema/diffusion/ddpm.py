@@ -13,12 +13,14 @@ from kinema.diffusion.denoising import ODE_SOLVERS, ancestral
 from kinema.diffusion.guidance import Predict
 from kinema.diffusion.predictions import PREDICTIONS
 from kinema.diffusion.schedules import Schedule, make_schedule
+from kinema.registry import buildable
 
 SOLVERS = ("ancestral", *ODE_SOLVERS)
 MOST_AMPLIFICATION = 20.0
 """The sigma / signal from which an ODE solver starts with a model of epsilon: MLD's is 14, a cosine's end 1015."""
 
 
+@buildable
 class DDPM(nn.Module):
     """Denoising diffusion with a fixed small (posterior) variance (MARDM §5; time runs from T-1, noise, to 0).
 

@@ -10,10 +10,12 @@ from torch import Tensor, nn
 
 from kinema.diffusion.guidance import Predict
 from kinema.diffusion.solvers import STEPS, dopri5, integrate
+from kinema.registry import buildable
 
 SOLVERS = (*STEPS, "dopri5", "sde")
 
 
+@buildable
 class Flow(nn.Module):
     """Linear path x_t = t x1 + (1 - t) x0 from noise x0 (t = 0) to data x1 (t = 1), velocity x1 - x0 (MARDM §5, SiT).
 

@@ -8,11 +8,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.generators import LatentModel
+from kinema.registry import buildable
 from kinema.types import Latents, Losses, TextFeatures
 
 HIDDEN = (512, 256, 128)
 
 
+@buildable
 class LengthEstimator(LatentModel):
     """Classify the number of latents from the pooled text (MARDM §6); class 0 is never predicted."""
 

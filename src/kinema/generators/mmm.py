@@ -16,12 +16,14 @@ from kinema.generators.tokens.reader import CodebookReader
 from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
 from kinema.masking import lowest, masked_count, shrinking_counts
 from kinema.nn.mode import inference
+from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
 MASK_RATIOS = (0.5, 1.0)
 SPECIALS = 3  # END, PAD, MASK
 
 
+@buildable
 @dataclass(frozen=True)
 class MmmSampling:
     """Choose how tokens are sampled: `steps` of unmasking at full length, `temperature` 0 for the likeliest codes."""
@@ -69,6 +71,7 @@ class MmmDraws(StepDraws):
         )
 
 
+@buildable
 class MMM(CodebookReader):
     """Masked transformer over the codes of a tokenizer whose codebook it reads (MMM).
 

@@ -9,11 +9,13 @@ from torch import Tensor, nn
 
 from kinema.motion.skeleton import DIMS, Skeleton, get_skeleton
 from kinema.motion.statistics import Statistics
+from kinema.registry import buildable
 from kinema.types import frame_mask
 
 VARIANTS = ("raw", "published")
 
 
+@buildable
 class Representation(nn.Module):
     """Select, normalise and de-normalise features; belongs to the model that was trained on it and is saved with it.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,11 @@ from kinema.runs.parts import (
     link,
     load_part,
     read_text_encoder,
+    require_asked,
     upstream,
     write_text_encoder,
 )
+from kinema.text.clip import REPOSITORIES
 from kinema.text.encoders import build_text_encoder
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
@@ -51,11 +54,23 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
     tokenizer, _ = load_part(links.pop(TOKENIZER), device, TOKENIZER)
     runs: dict[str, str | Path | None] = {**links, **given}
     check_representation(meta.get("representation"), tokenizer.representation)
-    encoder = build_text_encoder(text["encoder"], text.get("path"), device)
+    encoder = build_text_encoder(text["encoder"], _text_path(folder, text), device)
     if meta.get("text", encoder.identity) != encoder.identity:
         raise ValueError(f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}")
     parts = {name: load_part(Path(run), device, name)[0] for name, run in runs.items() if run is not None}
     return tokenizer, generator, encoder, parts, {**meta, "text": text}
+
+
+def _text_path(folder: Path, text: dict[str, Any]) -> str | None:
+    """Return where a run's text encoder lies: its published place, the run's own folder, or what was asked for."""
+    path = text.get("path")
+    if path is None or path == REPOSITORIES.get(text["encoder"]):
+        return path
+    inside = Path(os.path.normpath(folder / path))
+    if inside.is_relative_to(folder) and inside.is_dir():
+        return str(inside)
+    require_asked(folder, "text", path, f"{folder / TEXT} takes its text encoder from")
+    return path
 
 
 def write_parts(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,9 @@ MATCHING, CONTRASTIVE = "matching", "contrastive"
 """The evaluators, T2M-style and CLIP-style."""
 
 UPSTREAM, TEXT = "upstream.json", "text.json"
+
+ASKED = "asked"
+"""The folder of links to what a run reads outside of itself and its tree of runs."""
 
 
 def load_part(folder: Path, device: torch.device | str = "cpu", part: str | None = None) -> tuple[Any, dict[str, Any]]:
@@ -41,19 +46,71 @@ def load_part(folder: Path, device: torch.device | str = "cpu", part: str | None
 
 def link(run: Path, parts: Mapping[str, Path]) -> None:
     """Write which runs hold a run's parts: relative paths, so that a tree of runs can be moved as a whole."""
+    for name, part in parts.items():
+        if not _near(run, Path(os.path.abspath(part))):
+            _ask(run, name, os.path.abspath(part))
     write_json(run / UPSTREAM, {name: os.path.relpath(part, run) for name, part in parts.items()})
 
 
 def upstream(run: Path) -> dict[str, Path]:
-    """Read which runs hold a run's parts; none where nothing was linked."""
-    return {name: (run / part).resolve() for name, part in read_json(run / UPSTREAM).items()}
+    """Read which runs hold a run's parts; none where nothing was linked.
+
+    Raises ValueError for a part outside of the run's tree, unless it was asked for on this machine.
+    """
+    return {name: _part(run, name, part) for name, part in _names(run / UPSTREAM).items()}
 
 
 def write_text_encoder(run: Path, name: str, path: str | None) -> None:
     """Write which text encoder a run's model reads."""
+    if path is not None:
+        _ask(run, "text", str(path))
     write_json(run / TEXT, {"encoder": name, "path": path})
 
 
 def read_text_encoder(run: Path) -> dict[str, Any]:
     """Read which text encoder a run's model reads: `encoder` and `path`; nothing where it reads none."""
-    return read_json(run / TEXT)
+    found = read_json(run / TEXT)
+    for key, kinds in (("encoder", str), ("path", str | None)):
+        if found and not isinstance(found.get(key), kinds):
+            raise ValueError(f"{run / TEXT} says {key}={found.get(key)!r}; train or import this run again")
+    return found
+
+
+def require_asked(run: Path, name: str, where: str, what: str) -> None:
+    """Raise ValueError unless somebody on this machine asked for a part of a run that lies outside of it.
+
+    Who trains or imports asks, and a symbolic link says so: what is only written in a file of the folder, which may
+    have come from anywhere, is not followed.
+    """
+    asked = run / ASKED / name
+    if not asked.is_symlink() or os.readlink(asked) != where:
+        command = f"mkdir -p {shlex.quote(str(run / ASKED))} && ln -sfn {shlex.quote(where)} {shlex.quote(str(asked))}"
+        raise ValueError(f"{what} {where!r}, which lies outside; if you trust that: {command}")
+
+
+def _names(file: Path) -> dict[str, str]:
+    found = read_json(file)
+    for name, part in found.items():
+        if not isinstance(part, str):
+            raise ValueError(f"{file} says {name}={part!r}, no folder of a run; train or import this run again")
+    return found
+
+
+def _part(run: Path, name: str, part: str) -> Path:
+    path = Path(os.path.normpath(run.resolve() / part))
+    if not _near(run, path):
+        require_asked(run, name, str(path), f"{run / UPSTREAM} takes its {name} from")
+    return path.resolve()
+
+
+def _near(run: Path, path: Path) -> bool:
+    """Say whether a path lies in a run's folder or in its tree of runs, which is that of two folders above."""
+    return path.is_relative_to(run.resolve().parent.parent)
+
+
+def _ask(run: Path, name: str, where: str) -> None:
+    asked = run / ASKED / name
+    with contextlib.suppress(OSError):  # a disk without links: then whoever loads the run is told
+        asked.parent.mkdir(parents=True, exist_ok=True)
+        asked.unlink(missing_ok=True)
+        asked.symlink_to(where)

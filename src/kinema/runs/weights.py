@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from kinema import __version__
 from kinema.atomic import replacing
 from kinema.runs.build import build
+from kinema.runs.sketch import check_spec
 
 
 def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any) -> Path:
@@ -48,9 +49,8 @@ def load(path: str | Path, device: torch.device | str = "cpu") -> tuple[nn.Modul
     state, meta = _read(path)
     # Initial values are drawn and then overwritten: the caller's random state must not notice.
     with torch.random.fork_rng(devices=[]):
+        check_spec(meta["spec"], state, path)
         module = build(meta["spec"])
-    if not isinstance(module, nn.Module):
-        raise ValueError(f"the spec in {path} describes {type(module).__name__}, not a module; write it again")
     try:
         module.load_state_dict(state)
     except RuntimeError as error:

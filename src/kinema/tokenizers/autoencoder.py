@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
+from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
@@ -21,6 +22,7 @@ ERRORS = {"smooth_l1": F.smooth_l1_loss, "l1": F.l1_loss, "l2": F.mse_loss}
 """How far two rows are apart: the published codes' SmoothL1, or what the papers' equations say."""
 
 
+@buildable
 class AutoEncoder(MotionTokenizer):
     """Encode motion (b, t, d) to raw latents (b, t // 4, latent_dim) and back, without a bottleneck regulariser.
 

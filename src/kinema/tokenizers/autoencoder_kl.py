@@ -5,11 +5,13 @@ from __future__ import annotations
 import torch
 
 from kinema.motion.representation import Representation
+from kinema.registry import buildable
 from kinema.tokenizers.autoencoder import AutoEncoder, mean_of_real
 from kinema.tokenizers.posterior import PosteriorTokenizer, split, standard_noise
 from kinema.types import Latents, Losses, MotionBatch
 
 
+@buildable
 class AutoEncoderKL(PosteriorTokenizer, AutoEncoder):
     """Encode motion (b, t, d) to normal distributions over latents (b, t // 4, latent_dim), and back.
 

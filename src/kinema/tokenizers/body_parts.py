@@ -13,11 +13,13 @@ from kinema.motion.skeleton import Skeleton
 from kinema.nn.conv import ConvEncoder
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock
+from kinema.registry import buildable
 
 CONTACT_CHAINS = {"humanml3d": (3, 4), "kit": (0, 1)}
 """The chains that the foot contacts are counted to, as published: KIT's legs, HumanML3D's arms (AttT2M, Tokenizer)."""
 
 
+@buildable
 class BodyPartEncoder(nn.Module):
     """Map normalised motion (b, t, d) to (b, t // 2**down_levels, code_dim): a tokenizer's encoder.
 

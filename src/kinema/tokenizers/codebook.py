@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows, largest
+from kinema.registry import buildable
 
 RESETS = ("always", "unused")
 PERIOD = 20
@@ -97,6 +98,7 @@ class CodebookDraws:
         return cls(order, first, second)
 
 
+@buildable
 class EMACodebook(nn.Module):
     """Vector quantiser whose codes are running means of the vectors that chose them (COMMON §4).
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import torch
 
 from kinema.motion.representation import Representation
+from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.autoencoder import require_frames
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch
 
 
+@buildable
 class Frames(MotionTokenizer):
     """Normalise and de-normalise; a latent is a frame. It has nothing to train: its stage takes the statistics."""
 
@@ -39,6 +41,7 @@ class Frames(MotionTokenizer):
         return MotionBatch(self.representation.denormalize(latents.values, frames), frames)
 
 
+@buildable
 class FrameGroups(MotionTokenizer):
     """Normalise, and lay `unit` frames side by side as one latent of `latent_dim` = unit * width channels.
 

@@ -10,12 +10,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows
+from kinema.registry import buildable
 from kinema.tokenizers.codebook import EMACodebook, Quantized, perplexity
 
 FEWEST = 3
 """Least number of levels: two lie unevenly about zero."""
 
 
+@buildable
 class FiniteScalarQuantizer(nn.Module):
     """Round each of a few bounded numbers to its levels; the codes are all their combinations.
 

@@ -7,9 +7,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows
+from kinema.registry import buildable
 from kinema.tokenizers.codebook import Quantized, assign, look_up, perplexity
 
 
+@buildable
 class GradientCodebook(nn.Module):
     """Vector quantiser whose codes are parameters, drawn to what chose them by ||sg(z) - e||^2 (VQ-VAE, Eq. 3).
 

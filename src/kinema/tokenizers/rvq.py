@@ -8,9 +8,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from kinema.registry import buildable
 from kinema.tokenizers.codebook import CodebookDraws, EMACodebook, Quantized
 
 
+@buildable
 class ResidualQuantizer(nn.Module):
     """Sum the codes of `quantizers` layers with a codebook each.
 

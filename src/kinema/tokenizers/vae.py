@@ -11,10 +11,12 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import largest
 from kinema.nn.skip import SkipTransformer
+from kinema.registry import buildable
 from kinema.tokenizers.posterior import PosteriorTokenizer, split, standard_noise
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
 
+@buildable
 class VAE(PosteriorTokenizer):
     """Encode motion (b, t, d) to `latents` normal distributions of `width` dims, whatever its length, and back.
 

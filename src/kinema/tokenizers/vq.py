@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
+from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.autoencoder import ROOT, get_error, mean_of_real, require_frames
 from kinema.tokenizers.codebook import EMACodebook, Quantizer
@@ -16,6 +17,7 @@ from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 AUXILIARIES = ("joints", "velocities")
 
 
+@buildable
 class VQVAE(MotionTokenizer):
     """Encode motion (b, t, d) to codes (b, t // 4, q) and back (COMMON §3, §4; T2M-GPT, Tokenizer).
 

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from kinema.evaluation.encoders.base import TextMotionEvaluator, caption_keys, false_negatives, symmetric_cross_entropy
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import gather
+from kinema.registry import buildable
 from kinema.types import Caption, Losses, MotionBatch
 
 MAX_POSITIONS = 2000
@@ -62,6 +63,7 @@ class TextTransformer(nn.Module):
         return self.out(states[torch.arange(len(states), device=states.device), ends])
 
 
+@buildable
 class ContrastiveEvaluator(TextMotionEvaluator):
     """Embed motion and text on the unit sphere; CLIP-score is their cosine.
 

@@ -13,6 +13,7 @@ from kinema.evaluation.encoders.base import TextMotionEvaluator, caption_keys, f
 from kinema.evaluation.encoders.t2m_networks import MovementDecoder, MovementEncoder, SequenceEncoder, WordEncoder
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import gather
+from kinema.registry import buildable
 from kinema.types import Caption, Losses, MotionBatch
 
 UNIT = 4
@@ -20,6 +21,7 @@ UNIT = 4
 CONTACTS = 4
 
 
+@buildable
 class DecompositionAutoencoder(nn.Module):
     """Pre-train the movement encoder on short windows (stage 1, T2M_EVALUATOR §3).
 
@@ -49,6 +51,7 @@ class DecompositionAutoencoder(nn.Module):
         return {"loss": loss, "reconstruction": reconstruction, "sparsity": sparsity, "smoothness": smoothness}
 
 
+@buildable
 class MatchingEvaluator(TextMotionEvaluator):
     """Embed motion and text so that a caption lies near its motion (stage 2, T2M_EVALUATOR §4-§5).
 

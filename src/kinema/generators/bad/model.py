@@ -21,11 +21,13 @@ from kinema.masking import DIRECTIONS, hybrid_mask, lowest, masked_count, offici
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.mode import inference
 from kinema.nn.transformer import initialize
+from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
 FREQUENCIES = 256
 
 
+@buildable
 class BAD(CodebookReader):
     """Transformer over codes under a hybrid mask: bidirectional for seen tokens, causal among masked ones (BAD §2-§3).
 

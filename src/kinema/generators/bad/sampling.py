@@ -11,6 +11,7 @@ from torch import Tensor
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.generators.tokens.request import TokenRequest
 from kinema.masking import paper_counts, ranks, shrinking_counts
+from kinema.registry import buildable
 
 SAMPLERS = ("oaas", "cbs", "rs")
 ORDERS = ("random", "arranged")
@@ -19,6 +20,7 @@ RANDOM_SAMPLING = 1
 """The stream of the order in which RS keeps tokens, apart from the order that the mask tokens name."""
 
 
+@buildable
 @dataclass(frozen=True)
 class BadSampling:
     """Choose how tokens are sampled (BAD §4).

@@ -17,6 +17,7 @@ from kinema.generators.tokens.targets import per_sample, targets
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
 from kinema.nn.transformer import TransformerBlock, initialize
+from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
 
@@ -31,6 +32,7 @@ def condition_mask(condition: Bool[Tensor, "b s"]) -> Bool[Tensor, "b m m"]:
     return condition[:, None, :] | (~condition[:, :, None] & causal)
 
 
+@buildable
 class BAMM(Slots):
     """Predict slot p of [code 1, ..., code L, END] at position p of [text, slots], some slots being conditions (BAMM).
 

@@ -18,6 +18,7 @@ from kinema.generators.tokens.generator import TokenGenerator
 from kinema.generators.tokens.targets import targets
 from kinema.masking import lowest, masked_count
 from kinema.nn.attention import KeyValueCache
+from kinema.registry import buildable
 from kinema.types import frame_mask
 
 REMASKS = ("confidence", "order")
@@ -28,6 +29,7 @@ Rows = Callable[[int, Int[Tensor, "b n"]], Float[Tensor, "b k"]]
 """rows(slot, ids) -> the logits of a slot; the slots before it are decided."""
 
 
+@buildable
 @dataclass(frozen=True)
 class BammSampling:
     """Choose how codes are sampled.

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from kinema.diffusion.guidance import Guidance
 from kinema.generators.values import check_known
+from kinema.registry import buildable
 from kinema.types import Known
 
 
@@ -39,6 +40,7 @@ class DiffusionSampling:
         return Guidance(self.guidance, (start, end), self.guidance_growing)
 
 
+@buildable
 @dataclass(frozen=True)
 class FrameSampling(DiffusionSampling):
     """Choose how frames are sampled, as any sequence."""

@@ -22,6 +22,7 @@ from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
 from kinema.nn.transformer import TransformerBlock, initialize, run
+from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
 FALLBACK = 1
@@ -31,6 +32,7 @@ Words = tuple[Float[Tensor, "b l w"], Bool[Tensor, "b l"]]
 """Projected word features and the mask of those that may be seen."""
 
 
+@buildable
 class T2MGPT(TokenGenerator):
     """Predict the next of [text, token 1, ..., token L, END] with pre-norm causal blocks (T2M-GPT; COMMON §5).
 

@@ -9,8 +9,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
+from kinema.registry import buildable
 
 
+@buildable
 @dataclass(frozen=True)
 class GptSampling:
     """Choose how tokens are sampled.

@@ -24,12 +24,14 @@ from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.modulation import AdaLNBlock
 from kinema.nn.ranks import mean_over_ranks
+from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
 MASK_LENGTHS = ("padded", "own")
 
 
+@buildable
 class MARDM(Generator):
     """Masked autoregressive transformer with a per-latent diffusion MLP (MARDM §4-§6).
 

@@ -11,9 +11,11 @@ from torch import Tensor
 from kinema.decoding.unmasking import UnmaskingStep, plan_unmasking
 from kinema.generators.values import check_known
 from kinema.masking import cosine_counts, lowest, masked_count
+from kinema.registry import buildable
 from kinema.types import Known, Latents, LatentSpace, frame_mask
 
 
+@buildable
 @dataclass(frozen=True)
 class MarSampling:
     """Choose how latents are sampled.

@@ -8,8 +8,10 @@ from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.mdm.denoiser import MdmDenoiser
+from kinema.registry import buildable
 
 
+@buildable
 class MDM(FrameDiffusion):
     """Motion diffusion model (MDM §2-§5); `process` says in how many steps, and whether it predicts x0 or noise.
 

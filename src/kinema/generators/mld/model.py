@@ -14,14 +14,17 @@ from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import SequenceDiffusion
 from kinema.generators.frames.sampling import DiffusionSampling
 from kinema.generators.mld.denoiser import MldDenoiser
+from kinema.registry import buildable
 from kinema.types import LatentSpace, TextFeatures
 
 
+@buildable
 @dataclass(frozen=True)
 class LatentSampling(DiffusionSampling):
     """Choose how latents are sampled, as any sequence."""
 
 
+@buildable
 class MLD(SequenceDiffusion):
     """Motion latent diffusion (MLD §2): `latents` of `latent_dim` dims stand for a motion of any length.
 

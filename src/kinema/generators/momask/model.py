@@ -18,12 +18,14 @@ from kinema.generators.tokens.residual import ResidualSampling
 from kinema.masking import cosine_counts, cosine_ratio, masked_count
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
 RANDOM_SHARE = 0.1
 MASK_SHARE = 0.88
 
 
+@buildable
 @dataclass(frozen=True)
 class MoMaskSampling:
     """Choose how tokens are sampled, and by `residual_*` how a residual transformer completes them.
@@ -83,6 +85,7 @@ class MoMaskDraws(StepDraws):
         )
 
 
+@buildable
 class MoMask(TokenGenerator):
     """Masked transformer over one code per position, conditioned on the pooled text (MoMask §2).
 

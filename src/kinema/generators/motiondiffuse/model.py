@@ -8,8 +8,10 @@ from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.motiondiffuse.denoiser import MotionDiffuseDenoiser
+from kinema.registry import buildable
 
 
+@buildable
 class MotionDiffuse(FrameDiffusion):
     """Diffuse frames by `MotionDiffuseDenoiser`: the loss counts all frames alike, no text is dropped, none guides.
 

@@ -19,6 +19,7 @@ from kinema.generators.motiongpt.words import MINILM, PAD, Words
 from kinema.generators.tokens.generator import TokenGenerator
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, Losses, TextFeatures, frame_mask
 
@@ -27,6 +28,7 @@ MARKERS = 3
 """Start, end and mask of a motion have ids behind the codes; mask belongs to tasks that are not trained here."""
 
 
+@buildable
 @dataclass(frozen=True)
 class MotionGPTSampling(GptSampling):
     """Choose how tokens are sampled; published: temperature 1, the 50 likeliest tokens (transformers' defaults)."""
@@ -34,6 +36,7 @@ class MotionGPTSampling(GptSampling):
     top_k: int | None = 50
 
 
+@buildable
 class MotionGPT(TokenGenerator):
     """Translate the prompt "Generate motion: CAPTION" to the string `<start> c1 ... cn <end>` (MotionGPT §2).
 

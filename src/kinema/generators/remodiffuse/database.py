@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.registry import buildable
 from kinema.types import frame_mask
 
 
@@ -25,6 +26,7 @@ class Neighbours:
     token_lengths: Int[Tensor, "b k"]
 
 
+@buildable
 class RetrievalDatabase(nn.Module):
     """Hold what captions and motions of a training split are searched by, and themselves; nothing of it is trained.
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.generators.frames.sampling import FrameSampling
+from kinema.registry import buildable
 from kinema.seeds import item_seed
 
 PASSES = ((True, True), (True, False), (False, True), (False, False))
@@ -17,6 +18,7 @@ FINE = 0.1
 """The share of the noisy end's time below which the weights are constant."""
 
 
+@buildable
 @dataclass(frozen=True)
 class MixtureSampling(FrameSampling):
     """Choose how frames are sampled and what the four passes weigh.

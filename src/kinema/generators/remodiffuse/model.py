@@ -20,6 +20,7 @@ from kinema.generators.remodiffuse.database import RetrievalDatabase, best
 from kinema.generators.remodiffuse.denoiser import ReMoDiffuseDenoiser
 from kinema.generators.remodiffuse.encoder import Retrieved
 from kinema.generators.remodiffuse.mixture import PASSES, MixtureSampling, flip
+from kinema.registry import buildable
 from kinema.types import TextFeatures
 
 RETRIEVAL = "retrieval"
@@ -48,6 +49,7 @@ class RetrievalDraws(FrameDraws):
         return cls(**vars(common), retrieval_drop=torch.rand(shape[0], **options) < condition_drop)
 
 
+@buildable
 class ReMoDiffuse(FrameDiffusion):
     """Diffuse frames by `ReMoDiffuseDenoiser`, with a `RetrievalDatabase` attached in training and in sampling.
 

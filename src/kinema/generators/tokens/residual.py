@@ -17,12 +17,14 @@ from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided
 from kinema.generators.tokens.request import check_codes
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.registry import buildable
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
 STREAM = 1
 """Keeps the residual layers' draws apart from those of the base tokens."""
 
 
+@buildable
 @dataclass(frozen=True)
 class ResidualSampling:
     """Choose how residual tokens are sampled; the options mean what they mean in `MoMaskSampling`."""
@@ -51,6 +53,7 @@ class ResidualDraws(StepDraws):
         return cls(layer=layer, condition_drop=drop < condition_drop)
 
 
+@buildable
 class ResidualTransformer(LatentModel):
     """Predict the codes of residual layer q from the sum of the embedded codes of all layers below (MoMask §3).
 
