@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -236,4 +237,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         raise ValueError(
             f"{path} has store format {manifest.get('format')}, this version reads {FORMAT}; prepare it again"
         )
+    # Folders and files are named by it.
+    if not re.fullmatch("[0-9a-f]{12}", str(manifest.get("hash"))):
+        raise ValueError(f"{file} says hash={manifest.get('hash')!r}, no 12 hexadecimal digits; prepare it again")
     return manifest

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -15,6 +17,7 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device, global_rank
 from kinema.experiments.config import plain
 from kinema.experiments.dashboards import check_logger, training_dashboards
+from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
@@ -138,12 +141,23 @@ def generator_module(
     tokenizer = read_model(tokenizer_run.path)
     check_pair(tokenizer, model)
     clips = [ClipDataset(store, split) for split in ("train", "val")]
-    # Runs on one tokenizer and corpus share the cache: it belongs to the tokenizer's run.
     # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
-    with tokenizer_run.lock():
-        latents = latent_source(tokenizer_run.path / f"latents-{store.hash[:12]}", tokenizer, clips, device)
+    place = _latents_of(cfg, tokenizer_run, store)
+    with RunFolder(place.parent).lock():
+        latents = latent_source(place, tokenizer, clips, device)
     model.prepare(tokenizer, latents)
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
+
+
+def _latents_of(cfg: DictConfig, run: RunFolder, store: PackedStore) -> Path:
+    """Name the folder of a tokenizer's latents: in its run, which those share that are trained on it.
+
+    Of a run that this user may only read they are kept in the cache.
+    """
+    name = f"latents-{store.hash}"
+    if os.access(run.path, os.W_OK):
+        return run.path / name
+    return Path(cfg.paths.cache) / "latents" / fingerprint(run_identity(run.path)) / name
 
 
 def crop_lengths(
