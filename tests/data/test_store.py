@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 
 import numpy as np
 import pytest
@@ -73,3 +74,15 @@ def test_a_store_of_another_format_is_refused(store):
     (store.path / "manifest.json").write_text(json.dumps(manifest | {"format": 99}))
     with pytest.raises(ValueError, match="format 99"):
         PackedStore.open(store.path)
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["../../../home", "/etc", "..", "", "a" * 11, "A" * 12, "abc/def/ghij", "12345678901\n", None, 123456789012.5],
+)
+def test_a_hash_that_is_no_hash_is_refused_since_folders_are_named_by_it(store, tmp_path, value):
+    folder = shutil.copytree(store.path, tmp_path / "store")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "hash": value}))
+    with pytest.raises(ValueError, match=r"manifest\.json says hash=.*, no 12 hexadecimal digits"):
+        PackedStore.open(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -12,7 +13,7 @@ import pytest
 
 from kinema.experiments import training
 from kinema.experiments.config import compose
-from kinema.experiments.run import run_stage
+from kinema.experiments.run import run_folder, run_stage
 from kinema.experiments.stages.base import Summary
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -174,3 +175,12 @@ def test_a_torn_line_is_named_and_swallows_no_other(tmp_path):
         assert read_lines(path) == [{"replication": 0}, {"replication": 2}]
     assert f"{path}:2 is not a whole line" in said.get()
     assert read_lines(tmp_path / "none.jsonl") == []
+
+
+@pytest.mark.parametrize("name", ["../../x", "/etc", "a/b", "a\nb", "a\x1b[2J", "..", "$(ls)", "a\\b", "a b", "[bold]"])
+def test_a_name_makes_no_folder_of_its_own(micro, name):
+    cfg = compose(micro)
+    cfg.data.name = name
+    folder = run_folder(cfg, "tokenizer", "ae-essential", None, 0, "0123456789ab").path
+    assert folder.parent == Path(cfg.paths.runs) / "tokenizer"
+    assert re.fullmatch(r"ae-essential-[\w.]+-smoke-s0-0123456789ab", folder.name)

@@ -16,7 +16,8 @@ from kinema.experiments.config import compose
 from kinema.experiments.dashboards import show_table
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.previews import films_here
-from kinema.experiments.run import run_stage
+from kinema.experiments.run import run_stage, stage_folder
+from kinema.experiments.stages import get_stage
 from kinema.runs.lines import read_lines
 from kinema.training import fit as fitting
 from kinema.training.dashboards import About, dashboards, kinds
@@ -183,6 +184,18 @@ def test_a_resumed_run_has_every_step_once(overrides, monkeypatch):
     kept = check_all_dashboards(run)
     assert list(kept["train/loss"]) == [2, 4, 6, 8, 10, 12]
     assert [step for step, row in wandb_rows(run).items() if "samples/path" in row] == [5, 10, 12]
+
+
+def test_a_run_that_lacks_nothing_but_its_weights_keeps_what_it_showed(overrides, monkeypatch):
+    """It dies behind the last step: the resumed one has none left to run."""
+    cfg = compose([*overrides, *SHORT, "tokenizer.train.checkpoint_every=12"])
+    with monkeypatch.context() as patch:
+        patch.setattr("kinema.runs.weights.save", lambda *_, **__: pytest.fail("the machine died"))
+        with pytest.raises(pytest.fail.Exception, match="died"):
+            run_stage(cfg, "tokenizer")
+    assert (stage_folder(cfg, get_stage("tokenizer")).path / "checkpoints" / "last.ckpt").exists()
+    kept = check_all_dashboards(run_stage(cfg, "tokenizer").path)
+    assert list(kept["train/loss"]) == [2, 4, 6, 8, 10, 12]
 
 
 @pytest.mark.parametrize(("stage", "method"), [("generator", "mardm_sit"), ("tokenizer", "mmm")])

@@ -64,7 +64,7 @@ def test_rows_of_unequal_replications_are_not_compared():
 
 def test_reports_show_the_effect(tmp_path):
     files = {path.name: path.read_text() for path in render(table([2.0, 2.1, 2.05], [1.0, 1.0, 1.0]), tmp_path)}
-    assert "| redundancy <helps> | FID ↓ | +1.05 ± 0.12 | +0.60 | as in the paper |" in files["table.md"]
+    assert "| redundancy &lt;helps> | FID ↓ | +1.05 ± 0.12 | +0.60 | as in the paper |" in files["table.md"]
     assert "redundancy &lt;helps&gt;" in files["index.html"]
     assert "<td>+1.05<i> ± 0.12</i></td><td>+0.60</td><td>as in the paper</td>" in files["index.html"]
     (line,) = csv.DictReader(files["effects.csv"].splitlines())

@@ -29,6 +29,7 @@ from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
 from kinema.report.index import write_site
 from kinema.runs import weights
+from kinema.runs.console import printable
 from kinema.runs.folder import RunFolder, read_json
 from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH
@@ -126,7 +127,7 @@ def prepare(options: argparse.Namespace) -> None:
         processes=options.processes or min(4, os.cpu_count() or 1),
     )
     store = PackedStore.open(path)
-    print(f"wrote {path}: {store!r}")
+    print(printable(f"wrote {path}: {store!r}"))
 
 
 def doctor(options: argparse.Namespace) -> int:
@@ -138,7 +139,7 @@ def doctor(options: argparse.Namespace) -> int:
     elif len(options.what) > 1:
         raise ValueError(f"doctor takes one path, or KEY=VALUE overrides, not {' '.join(options.what)}")
     findings = examine.diagnose(path, source=source)
-    print(examine.format(findings))
+    print(printable(examine.format(findings)))
     return examine.exit_code(findings, strict=options.strict)
 
 

@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import re
 import shutil
+import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -173,8 +174,17 @@ def _convert_all(jobs: list[tuple[Clip, str, bool]], processes: int) -> Iterator
     if processes <= 1:
         yield from map(convert, jobs)
         return
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=spawn, initializer=_end_with_parent) as pool:
         yield from pool.map(convert, jobs, chunksize=16)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it does, killed or not: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        watch = threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True)
+        watch.start()
 
 
 def _move(staging: Path, out: Path, content: str) -> None:

@@ -12,7 +12,6 @@ from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
-from rich.markup import escape
 
 from kinema.experiments.config import CONF, explain, refuse_processes, register_resolvers
 
@@ -66,9 +65,9 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
             if sweep:  # it must not end the others: Hydra tells it when all are done
                 from kinema.runs.console import console  # here: launchers pickle this function with what it names
 
-                console.print(f"[red]failed[/]    {escape(str(error))}")
+                console.print(f"[red]failed[/]    {error}")
                 raise
-            sys.exit(f"error: {error}")
+            sys.exit(_line(error))
 
     register_resolvers()
     if arguments is not None:
@@ -77,8 +76,15 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
     try:
         hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
     except (HydraException, OmegaConfBaseException) as error:
-        sys.exit(f"error: {explain(error)}")
+        sys.exit(_line(explain(error)))
     except EXPECTED as error:  # of a job of a sweep, told above
-        sys.exit(f"error: {error}")
+        sys.exit(_line(error))
     finally:
         sys.argv = given
+
+
+def _line(error: object) -> str:
+    """Write an error out, whatever the names in it hold."""
+    from kinema.runs.console import printable  # here: --help must not pay for it
+
+    return f"error: {printable(str(error))}"

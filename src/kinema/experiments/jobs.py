@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from omegaconf import DictConfig
-from rich.markup import escape
 
 from kinema.experiments.config import compose, refuse_processes
 from kinema.experiments.evaluation import scored_lines
@@ -164,7 +163,7 @@ def run_jobs(jobs: list[Job], count: int) -> None:
                 if (error := future.exception()) is None:
                     unfinished.discard(job.makes)
                     continue
-                console.print(f"[red]failed[/]    {job}: {escape(_first_line(error))}")
+                console.print(f"[red]failed[/]    {job}: {_first_line(error)}")
                 failed[job] = error
                 # A process that was killed (for its memory, say) takes the pool with it.
                 lost = waiting if isinstance(error, BrokenExecutor) else _waiting_for(job, waiting)

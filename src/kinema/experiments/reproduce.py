@@ -20,7 +20,7 @@ from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
 from kinema.report.index import write_site
 from kinema.report.intervals import FORMS
-from kinema.runs.console import console
+from kinema.runs.console import console, printable
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
 
@@ -49,7 +49,7 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         reproduce(options.pop("name"), options.pop("overrides"), **options)
     except (ValueError, OSError, ImportError) as error:
-        sys.exit(f"error: {error}")
+        sys.exit(f"error: {printable(str(error))}")
 
 
 def reproduce(name: str, overrides: list[str], **options: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,7 +60,7 @@ class Request:
     def folder(self, cfg: DictConfig | None = None) -> Path:
         """Return the report's folder: of the name, and of the corpus and the scale of a configuration."""
         name = self.name if cfg is None else f"{self.name}-{cfg.data.name}-{cfg.scale.name}"
-        return self.out or Path("reports") / name
+        return self.out or Path("reports") / re.sub(r"[^\w.+=,-]+", "_", name)
 
     def refuse_options_of_tables(self) -> None:
         """Raise ValueError naming an option that only tables have."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import time
 import traceback
@@ -41,7 +42,8 @@ def run_folder(cfg: DictConfig, kind: str, label: str, split: str | None, seed: 
     there = sorted(folder.glob(f"*-{digest}"))
     words = [label, cfg.data.name, *([split] if split else []), cfg.scale.name]
     words += [*(["debug"] if cfg.debug.enabled else []), f"s{seed}", digest]
-    return RunFolder(there[0] if there else folder / "-".join(words))
+    # A corpus or method may be called anything: its name makes no folder of its own.
+    return RunFolder(there[0] if there else folder / re.sub(r"[^\w.+=,-]+", "_", "-".join(words)))
 
 
 def command(cfg: DictConfig, stage: Stage) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kinema.report.cells import Column, Grid, Line
+from kinema.report.escape import spreadsheet
 from kinema.report.intervals import Form, Value, measure
 
 HEADINGS = ("effect", "metric", "here", "paper", "")
@@ -76,7 +77,7 @@ def csv_text(found: list[Effect]) -> str:
     for effect in found:
         ours = effect.ours or Value(float("nan"), None, 0)
         numbers = ["" if x is None else f"{x:.8g}" for x in (ours.mean, ours.half, ours.count, effect.paper)]
-        writer.writerow([effect.what, effect.column.key, *numbers, effect.verdict])
+        writer.writerow([spreadsheet(effect.what), spreadsheet(effect.column.key), *numbers, effect.verdict])
     return file.getvalue()
 
 

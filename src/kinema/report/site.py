@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kinema.atomic import write_text
+from kinema.report import escape
 from kinema.report.cells import FLAG, Cell, Column, Grid, Line
 from kinema.report.content import content_of
 from kinema.report.effects import HEADINGS, Effect
 from kinema.report.effects import csv_text as effects_csv
+from kinema.report.escape import spreadsheet
 from kinema.report.packs import sweep, write_pack
 from kinema.report.page import html_page
 from kinema.report.text import (
@@ -62,19 +64,25 @@ def render(table: dict[str, Any], out_dir: str | Path, motions: dict[str, list[M
 
 def markdown(table: dict[str, Any], main: Grid, breakdowns: list[tuple[str, Grid]], seen: Sequence[Effect] = ()) -> str:
     """Write the whole report but the motions."""
-    parts = [f"# {table['title']}", f"> {notice(table)}", _markdown_grid(main), legend(main)]
+    parts = [f"# {escape.markdown(table['title'])}", f"> {escape.markdown(notice(table))}"]
+    parts += [_markdown_grid(main), legend(main)]
     parts += filter(None, [flags_legend(main)])
-    notes = [f"- {note}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))]
+    notes = [
+        f"- {escape.markdown(note)}" for note in (*notes_by_text(main), *table.get("footnotes", ()), *unfinished(main))
+    ]
     if notes:
         parts += ["## Notes", "\n".join(notes)]
     if seen:
         rows = [HEADINGS, ("---", "---", "--:", "--:", "---"), *(effect.cells for effect in seen)]
-        parts += [f"## {EFFECTS}", effects_legend(main), "\n".join(f"| {' | '.join(row)} |" for row in rows)]
+        parts += [f"## {EFFECTS}", effects_legend(main), "\n".join(map(_markdown_row, rows))]
     for title, content in breakdowns:
-        parts += [f"## {title}", _markdown_grid(content), *filter(None, [flags_legend(content)])]
+        parts += [f"## {escape.markdown(title)}", _markdown_grid(content), *filter(None, [flags_legend(content)])]
     facts = flatten(table.get("provenance", {}))
     if facts:
-        parts += ["## Provenance", "\n".join(f"- {key}: `{value}`" for key, value in facts)]
+        parts += [
+            "## Provenance",
+            "\n".join(f"- {escape.markdown(key)}: `{escape.code(value)}`" for key, value in facts),
+        ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -84,31 +92,40 @@ def csv_text(main: Grid) -> str:
     writer = csv.writer(file, lineterminator="\n")
     names = ("", "_half", "_n", "_paper", "_paper_half")
     writer.writerow(
-        ["key", "label", "kind", "replications", "seeds", *(c.key + n for c in main.columns for n in names)]
+        [
+            "key",
+            "label",
+            "kind",
+            "replications",
+            "seeds",
+            *(spreadsheet(c.key + n) for c in main.columns for n in names),
+        ]
     )
     for line in main.lines:
         numbers = [text for cell in line.cells for text in _csv_cell(cell)]
-        writer.writerow([line.key, line.label, line.kind, line.replications, line.seeds or "", *numbers])
+        writer.writerow(
+            [spreadsheet(line.key), spreadsheet(line.label), line.kind, line.replications, line.seeds or "", *numbers]
+        )
     return file.getvalue()
 
 
 def latex(table: dict[str, Any], main: Grid) -> str:
     """Write a booktabs table, the paper's numbers in a second line below ours."""
     arrows = {"↑": r"$\uparrow$", "↓": r"$\downarrow$", "→": r"$\rightarrow$"}
-    headings = [_tex(c.label) + arrows.get(c.heading[-1], "") for c in main.columns]
+    headings = [escape.tex(c.label) + arrows.get(c.heading[-1], "") for c in main.columns]
     body = []
     for before, line in zip((None, *main.lines), main.lines, strict=False):
         if before is not None and before.kind != line.kind:
             body.append(r"\midrule")
         body.append(
-            " & ".join([_tex(line.label), line.state, *(_tex_ours(c, line) for c in _ours(main, line))]) + r" \\"
+            " & ".join([escape.tex(line.label), line.state, *(_tex_ours(c, line) for c in _ours(main, line))]) + r" \\"
         )
         if line.has_paper:
             paper = [_tex_value(text) if text else "" for text in _paper(main, line)]
             body.append(" & ".join([r"\quad published", "", *paper]) + r" \\")
     return "\n".join(
         [
-            f"% {notice(table)}",
+            f"% {escape.one_line(notice(table))}",
             r"\begin{tabular}{lr" + "c" * len(headings) + "}",
             r"\toprule",
             " & ".join(["", "$n$", *headings]) + r" \\",
@@ -132,7 +149,11 @@ def _markdown_grid(content: Grid) -> str:
             rows.append(
                 [f"&nbsp;&nbsp;*{line.label}, paper*", "", *(f"*{t}*" if t else "" for t in _paper(content, line))]
             )
-    return "\n".join("| " + " | ".join(text.replace("|", "\\|") for text in row) + " |" for row in rows)
+    return "\n".join(map(_markdown_row, rows))
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(escape.markdown(text).replace("|", "\\|") for text in cells) + " |"
 
 
 def _ours(content: Grid, line: Line) -> list[tuple[str, bool]]:
@@ -167,8 +188,3 @@ def _tex_ours(cell: tuple[str, bool], line: Line) -> str:
 def _tex_value(text: str) -> str:
     signs = text.replace("±", r"\pm").replace(f" {FLAG}", r"^{\dagger}")
     return text if text == "not finite" else f"${signs}$"
-
-
-def _tex(text: str) -> str:
-    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)

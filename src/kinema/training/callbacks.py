@@ -128,13 +128,19 @@ class RunRecord(Callback):
     """Record losses, learning rate, gradient norm and pace, and the seconds spent, over interruptions."""
 
     def __init__(self, record: Record, pace: Pace, every: int = 50) -> None:
-        self.record, self.pace, self.every = record, pace, every
+        self.record, self.pace, self.every, self.shown = record, pace, every, False
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Drop what is of steps that will be run again."""
         if trainer.is_global_zero:
             self.record.rewind(trainer.global_step)
+            self.shown = True
         self.pace.restart(trainer.global_step)
+
+    def on_fit_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Show what there is where no step was left to run: dashboards start empty."""
+        if trainer.is_global_zero and not self.shown:
+            self.record.replay()
 
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         """Record what training logs, every few steps."""

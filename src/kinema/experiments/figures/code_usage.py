@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
-from rich.markup import escape
 
 from kinema.atomic import replacing, write_json, write_text
 from kinema.data.catalog import SPLITS
@@ -101,7 +100,7 @@ def write_report(results: list[dict[str, Any]], out: Path) -> list[Path]:
     try:
         return [*written, draw(results, out / "code_usage.png")]
     except ImportError as error:
-        console.print(f"[yellow]note[/]      no figure: {escape(str(error))}")
+        console.print(f"[yellow]note[/]      no figure: {error}")
         return written
 
 

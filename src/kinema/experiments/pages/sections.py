@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.markup import escape
-
 from kinema.atomic import replacing, write_json, write_text
 from kinema.motion.view.draw import new_figure
 from kinema.report.packs import sweep, write_pack
@@ -61,7 +59,7 @@ def write_page(
             blocks.append(f"![{about['title']}]({image})")
         except ImportError as error:
             image = ""
-            console.print(f"[yellow]note[/]      no figure {section.name}: {escape(str(error))}")
+            console.print(f"[yellow]note[/]      no figure {section.name}: {error}")
         blocks += [markdown(section.shown), f"All numbers: [{section.name}.csv]({section.name}.csv)."]
         parts.append({"name": section.name, **about, "image": image, "rows": section.shown})
     facts = "\n".join(f"- {key}: `{value}`" for key, value in flatten(provenance))
