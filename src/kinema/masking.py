@@ -27,17 +27,21 @@ def cosine_counts(lengths: Int[Tensor, " b"], steps: int) -> Int[Tensor, "s b"]:
     return masked_count(lengths, cosine_ratio(torch.linspace(0, 1, steps, device=lengths.device))[:, None])
 
 
+SLOTS = 49
+"""The positions over which MMM's and BAD's schedule shrinks: a constant, whatever the model's longest motion."""
+
+
 def shrinking_counts(
-    lengths: Int[Tensor, " b"], steps: int, slots: int = 49, free: Int[Tensor, " b"] | None = None
+    lengths: Int[Tensor, " b"], steps: int, free: Int[Tensor, " b"] | None = None
 ) -> Int[Tensor, "s b"]:
     """Count the masked positions before each of `steps` unmasking steps of MMM and BAD (BAD §4).
 
-    A sample of `slots` positions shrinks over all steps, a shorter one over S = round(steps / slots * length), after
-    which one position is decoded again and again: max(1, floor(cos(pi / 2 min(1, i / S)) * count)), where count is the
-    length, or what an edit leaves `free`. In float32 as published: on another device than the CPU ties may fall apart.
+    A sample of 49 positions shrinks over all steps, a shorter one over S = round(steps / 49 * length), after which one
+    position is decoded again and again: max(1, floor(cos(pi / 2 min(1, i / S)) * count)), where count is the length, or
+    what an edit leaves `free`. In float32 as published: on another device than the CPU ties may fall apart.
     """
     step = torch.arange(steps, device=lengths.device)[:, None]
-    time = (step / (steps / slots * lengths).round()).nan_to_num(0.0, posinf=1.0).clamp(max=1)
+    time = (step / (steps / SLOTS * lengths).round()).nan_to_num(0.0, posinf=1.0).clamp(max=1)
     return ((lengths if free is None else free) * cosine_ratio(time)).floor().clamp(min=1).long()
 
 

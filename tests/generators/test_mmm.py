@@ -193,7 +193,7 @@ def test_the_transformer_reads_masks_and_the_end():
     seen = watch(model)
     model.sample(text(), FRAMES, seeds=SEEDS)
     counts = torch.stack([(ids == model.mask_id).sum(dim=1) for ids in seen])
-    assert torch.equal(counts, mmm.shrinking_counts(FRAMES // 4, 10, 12))
+    assert torch.equal(counts, mmm.shrinking_counts(FRAMES // 4, 10))
     for ids in seen:
         assert ids.shape == (3, 13)
         assert torch.equal((ids == CODES).nonzero()[:, 1], FRAMES // 4)

@@ -37,6 +37,7 @@ def test_round_trip(kind, seed, layers, cross_layers):
     wrapped = {"trans": {f"module.{k}": v for k, v in gpt.export(model).items()}, "iter": 3}
     copy = interop.load(kind, wrapped, heads=3)
     assert not copy.training
+    assert copy.space.most == model.space.most  # by the table of positions
     text = TextFeatures(["", ""], torch.randn(2, 7), torch.randn(2, 4, 6))
     ids = torch.randint(9, (2, 11))
     assert torch.equal(copy(ids, text), model(ids, text))

@@ -29,6 +29,7 @@ def test_round_trip(cross):
     content = {"trans": {f"module.{k}": v for k, v in (mmm.export(model) | nested).items()}}
     copy = interop.load("mmm", content, heads=3, sampling={"steps": 4})
     assert copy.sampling.steps == 4
+    assert copy.max_latents == model.max_latents  # by the table of positions
     assert torch.equal(copy.codebook, model.codebook)
     text = TextFeatures(["", ""], torch.randn(2, 5), torch.randn(2, 7, 6))
     ids, lengths = torch.randint(12, (2, 8)), torch.tensor([8, 3])

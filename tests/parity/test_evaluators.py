@@ -117,7 +117,7 @@ def test_legacy_padding_reads_what_stands_past_the_end(original):
 
 def test_decomposition_loss(golden_file):
     golden, _ = read(golden_file("diffusion/t2meval_decomposition.safetensors"))
-    model = t2m_evaluator.load_decomposition(state(golden), statistics=unit_statistics(263), variant="raw").eval()
+    model = load("t2m-decomposition", state(golden), statistics=unit_statistics(263), variant="raw").eval()
     windows = golden["in.windows"]
     losses = model.loss(MotionBatch(windows, torch.full((len(windows),), windows.shape[1])))
     expected = {"loss": "loss", "reconstruction": "loss_rec", "sparsity": "loss_sparsity", "smoothness": "loss_smooth"}

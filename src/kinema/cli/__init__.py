@@ -25,7 +25,15 @@ GENERATORS = (
     "remodiffuse",
     "mld",
 )
-KINDS = (*TOKENIZERS, *GENERATORS, "momask-residual", "length-estimator", "t2m-evaluator", "clip-evaluator")
+KINDS = (
+    *TOKENIZERS,
+    *GENERATORS,
+    "momask-residual",
+    "length-estimator",
+    "t2m-evaluator",
+    "t2m-decomposition",
+    "clip-evaluator",
+)
 PARTS = ("upper", "lower")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
 EXPERIMENTS = {

@@ -181,10 +181,14 @@ def _convert_all(jobs: list[tuple[Clip, str, bool]], processes: int) -> Iterator
 
 def _end_with_parent() -> None:
     """End this process when the one that started it does, killed or not: it would wait for work for ever."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
-        watch = threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True)
-        watch.start()
+        parent.join()
+        os._exit(1)
 
 
 def _move(staging: Path, out: Path, content: str) -> None:

@@ -22,6 +22,8 @@ from kinema.experiments.run import check, command, run_folder, run_stage, stage_
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.locks import attempt
+from kinema.registry import find_class
+from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
@@ -79,6 +81,7 @@ def scored_lines(folder: Path) -> list[dict[str, Any]]:
 def describe(cfg: DictConfig) -> Row:
     """Find the folder of an evaluation without running anything."""
     validate(cfg)
+    _check_method(cfg)
     corpus, corpus_of = PackedStore.open(open_corpus(cfg)).hash, corpora(cfg)
 
     def found(stage: Stage) -> Path:
@@ -165,6 +168,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     _check_judges(cfg, row)
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
+    _check_reads(cfg)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
     for stage in found:
@@ -175,6 +179,36 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
             )
         check(cfg, stage)
     return found
+
+
+def _check_method(cfg: DictConfig) -> None:
+    """Check that the configuration's method is that of the run that `run=` names: its sampling is the method's."""
+    run = asked_for(cfg)
+    if run is None or cfg.source != "generation" or not RunFolder(run).weights.is_file():
+        return  # its absence is told where it is read
+    from kinema.runs.weights import read_meta  # here: --help must not pay for torch
+
+    spec = read_meta(RunFolder(run).weights)["spec"]
+    theirs, ours = (find_class(found.get("_target_")) for found in (spec, plain(cfg.generator.model)))
+    if theirs is not ours:
+        saved = run / "config.yaml"
+        method = OmegaConf.select(OmegaConf.load(saved), "method.name") if saved.is_file() else None
+        fix = f"add method={method}" if method else f"add the method= whose generator is {theirs.__name__}"
+        raise ValueError(
+            f"run={run} is of {theirs.__name__}, the configuration of method={cfg.method.name} ({ours.__name__}); {fix}"
+        )
+
+
+def _check_reads(cfg: DictConfig) -> None:
+    """Find the vocabularies, the text encoder and the sampling, which are read when every run is made."""
+    from kinema.experiments.instantiate import check_text  # here too
+
+    for stage in judges().values():
+        stage.vocabulary(cfg)
+    if cfg.source in ("generation", "nearest"):
+        check_text(cfg)
+    if cfg.source == "generation":
+        build(plain(cfg.generator.sampling))
 
 
 def _check_judges(cfg: DictConfig, row: Row) -> None:

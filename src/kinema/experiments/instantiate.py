@@ -26,6 +26,16 @@ def text_encoder(cfg: DictConfig, device: torch.device | str = "cpu") -> CachedT
     return cached(cfg, build_text_encoder(cfg.text.name, path=cfg.text.path, device=device))
 
 
+def check_text(cfg: DictConfig) -> None:
+    """Raise FileNotFoundError or ValueError if the method's text encoder isn't there or is of another width."""
+    encoder = build_text_encoder(cfg.text.name, path=cfg.text.path)
+    if encoder.dim != cfg.text.dim:
+        raise ValueError(
+            f"text.dim={cfg.text.dim}, and {encoder.identity} gives {encoder.dim} numbers; choose text= as a whole, or "
+            f"set text.dim={encoder.dim}"
+        )
+
+
 def cached(cfg: DictConfig, encoder: FrozenTextEncoder) -> CachedTextEncoder:
     """Put the on-disk cache in front of a text encoder."""
     tokens = "float32" if cfg.generator.reads_tokens else None

@@ -142,20 +142,20 @@ def generator_module(
     check_pair(tokenizer, model)
     clips = [ClipDataset(store, split) for split in ("train", "val")]
     # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
-    place = _latents_of(cfg, tokenizer_run, store)
+    place = _latents_of(cfg, tokenizer_run, store.hash)
     with RunFolder(place.parent).lock():
         latents = latent_source(place, tokenizer, clips, device)
     model.prepare(tokenizer, latents)
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
 
 
-def _latents_of(cfg: DictConfig, run: RunFolder, store: PackedStore) -> Path:
+def _latents_of(cfg: DictConfig, run: RunFolder, corpus: str) -> Path:
     """Name the folder of a tokenizer's latents: in its run, which those share that are trained on it.
 
     Of a run that this user may only read they are kept in the cache.
     """
-    name = f"latents-{store.hash}"
-    if os.access(run.path, os.W_OK):
+    name = f"latents-{corpus}"
+    if os.access(run.path, os.W_OK) or (run.path / name).is_dir():
         return run.path / name
     return Path(cfg.paths.cache) / "latents" / fingerprint(run_identity(run.path)) / name
 

@@ -167,7 +167,7 @@ class MMM(CodebookReader):
         sampling = sampling or self.sampling
         device, request = self.codebook.device, self.request(text, frames, seeds, known)
         text, codes, free = text.to(device), request.codes[..., 0], request.real & ~request.keep
-        counts = shrinking_counts(request.lengths.cpu(), sampling.steps, self.max_latents, free.sum(dim=1).cpu())
+        counts = shrinking_counts(request.lengths.cpu(), sampling.steps, free.sum(dim=1).cpu())
 
         def predict(codes: Tensor, masked: Tensor, step: int) -> Float[Tensor, "b n k"]:
             return self(codes.masked_fill(masked, self.mask_id), text, request.lengths)[:, 1:-1]

@@ -24,9 +24,10 @@ from torch import nn
 
 from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop.checkpoint import read_checkpoint, unwrap
-from kinema.runs.parts import CONTRASTIVE, GENERATOR, LENGTH, MATCHING, TOKENIZER
+from kinema.runs.parts import CONTRASTIVE, DECOMPOSITION, GENERATOR, LENGTH, MATCHING, TOKENIZER
 
 _BASE = ("t2m_transformer", "trans")
+_MOVEMENT = ("movement_enc", "movement_dec")
 _T2M = ("movement_encoder", "text_encoder", "motion_encoder")
 
 
@@ -69,6 +70,7 @@ KINDS: dict[str, Kind] = {
     "momask-residual": Kind("kinema.interop.momask_residual", ("res_transformer",), RESIDUAL, "momask-rvq"),
     "length-estimator": Kind("kinema.interop.length_estimator", ("estimator",), LENGTH),
     "t2m-evaluator": Kind("kinema.interop.t2m_evaluator", _T2M, MATCHING, several=True),
+    "t2m-decomposition": Kind("kinema.interop.t2m_decomposition", _MOVEMENT, DECOMPOSITION, several=True),
     "clip-evaluator": Kind("kinema.interop.clip_evaluator", ("contrast_model",), CONTRASTIVE),
 }
 

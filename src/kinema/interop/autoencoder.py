@@ -40,8 +40,12 @@ def load(
     dropout: float = 0.2,
     joint_weight: float = 1.0,
     mask_padding: bool = True,
+    dilation_growth: int = 3,
 ) -> nn.Module:
-    """Load a published autoencoder; `mask_padding=False` lets padding leak into the clips' ends, as published."""
+    """Load a published autoencoder; `mask_padding=False` lets padding leak into the clips' ends, as published.
+
+    `dilation_growth` of the residual stacks can't be told from shapes.
+    """
     kind = "mardm-ae"
     width, features, _ = require(state, "encoder.model.0.weight", kind=kind).shape
     levels = count(state, r"encoder\.model\.(\d+)\.0\.weight")
@@ -55,5 +59,6 @@ def load(
         "dropout": dropout,
         "joint_weight": joint_weight,
         "mask_padding": mask_padding,
+        "dilation_growth": dilation_growth,
     }
     return fit_statistics(transfer(spec, state, conv_rules(levels), kind=kind), statistics)

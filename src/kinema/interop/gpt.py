@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from kinema.generators.gpt.model import T2MGPT
+from kinema.interop import token_transformer
 from kinema.interop.checkpoint import count, require, transfer
 from kinema.nn.embeddings import sinusoidal_positions
 
@@ -52,7 +53,7 @@ def load(
     dropout: float = 0.1,
     pkeep: float = 0.5,
     words: str = "real",
-    max_latents: int = 49,
+    max_latents: int | None = None,
     downsample: int = 4,
     sampling: Mapping[str, Any] | None = None,
 ) -> nn.Module:
@@ -77,7 +78,7 @@ def load(
         "dropout": dropout,
         "pkeep": pkeep,
         "words": words,
-        "max_latents": max_latents,
+        "max_latents": token_transformer.latents(state) if max_latents is None else max_latents,
         "downsample": downsample,
         "sampling": {"_target_": "kinema.generators.gpt.GptSampling", **(sampling or {})},
     }
@@ -89,14 +90,15 @@ def load(
     return transfer(spec, state, rules, kind=kind)
 
 
-def export(model: T2MGPT, *, positions: int = 51, words: int = 77) -> dict[str, Tensor]:
+def export(model: T2MGPT, *, words: int = 77) -> dict[str, Tensor]:
     """Return a model's weights under the published keys, its constants included; half of the blocks are the base's."""
     own, device = model.state_dict(), model.head.weight.device
+    positions = model.space.most + token_transformer.FURTHER
     base, cross = len(model.blocks) // 2, len(model.cross_blocks)
     head = len(model.blocks) - base
     state = {theirs: own[ours] for theirs, ours in names(base, head, cross).items()}
     width = model.head.in_features
-    state["trans_base.pos_embedding.weight"] = torch.zeros(positions, width, device=device)
+    state[token_transformer.POSITIONS] = torch.zeros(positions, width, device=device)
     state["trans_base.pos_embed.embed"] = sinusoidal_positions(positions, width, device)[:, None]
     blocks = [f"trans_base.blocks.{i}" for i in range(base)] + [f"trans_head.blocks.{i}" for i in range(head)]
     masks = [(block, positions) for block in blocks]

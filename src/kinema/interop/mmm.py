@@ -24,7 +24,7 @@ def load(
     dropout: float = 0.1,
     words: str = "real",
     pkeep: float = 0.5,
-    max_latents: int = 49,
+    max_latents: int | None = None,
     downsample: int = 4,
     sampling: Mapping[str, Any] | None = None,
 ) -> nn.Module:
@@ -43,7 +43,7 @@ def load(
         "dropout": dropout,
         "words": words,
         "pkeep": pkeep,
-        "max_latents": max_latents,
+        "max_latents": token_transformer.latents(state) if max_latents is None else max_latents,
         "downsample": downsample,
         "sampling": {"_target_": "kinema.generators.mmm.MmmSampling", **(sampling or {})},
     }
@@ -52,4 +52,4 @@ def load(
 
 def export(model: MMM) -> dict[str, Tensor]:
     """Return a model's weights under the published keys; of the tokenizer inside, the codebook alone."""
-    return token_transformer.export(model.transformer, model.max_latents + 2)
+    return token_transformer.export(model.transformer, model.max_latents + token_transformer.FURTHER)

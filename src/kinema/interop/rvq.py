@@ -22,10 +22,12 @@ def load(
     quantizer_dropout: float = 0.2,
     temperature: float = 0.5,
     mask_padding: bool = True,
+    dilation_growth: int = 3,
 ) -> nn.Module:
     """Load a published RVQ-VAE; `variant` as in `vq.load`.
 
     `mask_padding=False` lets padding leak into the clips' ends, as published.
+    `dilation_growth` of the residual stacks can't be told from shapes.
     """
     kind = "momask-rvq"
     net = network(state, kind, variant)
@@ -42,6 +44,7 @@ def load(
         },
         "dropout": dropout,
         "mask_padding": mask_padding,
+        "dilation_growth": dilation_growth,
     }
     rules = [*conv_rules(net["down_levels"]), (r"quantizer\.layers\.(\d+)\.codebook", r"quantizer.layers.\1.codebook")]
     return fit_statistics(transfer_codes(spec, state, rules, kind=kind), statistics)

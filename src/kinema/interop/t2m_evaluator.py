@@ -1,4 +1,4 @@
-"""Load and write the T2M-style evaluator's files: `text_mot_match/model/finest.tar`, `Decomp_*/model/latest.tar`."""
+"""Load and write the T2M-style evaluator's file: `text_mot_match/model/finest.tar`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kinema.interop.representation import fit_statistics, representation_spec
 
 _CONTACTS = 4
 _INPUTS_WITHOUT_CONTACTS = (259, 247)
-_OURS = ("representation.", "vocabulary_fingerprint")
+OURS = ("representation.", "vocabulary_fingerprint")
 
 
 def load(
@@ -52,23 +52,7 @@ def load(
         "max_frames": max_frames,
     }
     rules = [(r"((?:movement|motion|text)_encoder\..+)", r"\1")]
-    return fit_statistics(transfer(spec, state, rules, kind=kind, ours=_OURS), statistics)
-
-
-def load_decomposition(state: Mapping[str, Tensor], *, statistics: Any = None, variant: str | None = None) -> nn.Module:
-    """Load a published movement autoencoder (`movement_enc`, `movement_dec`); options as `load`."""
-    kind = "t2m-decomposition"
-    width, inputs, _ = require(state, "movement_enc.main.0.weight", kind=kind).shape
-    outputs = require(state, "movement_dec.out_net.weight", kind=kind).shape[0]
-    spec = {
-        "_target_": "kinema.evaluation.encoders.t2m.DecompositionAutoencoder",
-        "representation": representation_spec(outputs, variant=variant),
-        "width": width,
-        "latent_dim": require(state, "movement_enc.out_net.weight", kind=kind).shape[0],
-        "drop_contacts": inputs != outputs,
-    }
-    rules = [(r"movement_enc\.(.+)", r"movement_encoder.\1"), (r"movement_dec\.(.+)", r"movement_decoder.\1")]
-    return fit_statistics(transfer(spec, state, rules, kind=kind, ours=_OURS), statistics)
+    return fit_statistics(transfer(spec, state, rules, kind=kind, ours=OURS), statistics)
 
 
 def export(module: nn.Module) -> dict[str, dict[str, Tensor]]:

@@ -17,6 +17,9 @@ from kinema.nn.embeddings import sinusoidal_positions
 TOKENIZER = "trans_base.vqvae."
 CODEBOOK = f"{TOKENIZER}vqvae.quantizer.codebook"
 WORDS = 77
+POSITIONS = "trans_base.pos_embedding.weight"
+LATENTS, FURTHER = 49, 2
+"""The published number of latents, and the rows that the table of positions has beside them."""
 
 # Published name -> ours, of layers that hold a weight and a bias.
 LAYERS = {
@@ -63,13 +66,19 @@ def sizes(state: Mapping[str, Tensor], kind: str) -> dict[str, Any]:
     }
 
 
+def latents(state: Mapping[str, Tensor]) -> int:
+    """Return the most latents of a motion by the table of positions, which no forward reads; 49 without one."""
+    table = state.get(POSITIONS)
+    return LATENTS if table is None else len(table) - FURTHER
+
+
 def export(transformer: TokenTransformer, positions: int) -> dict[str, Tensor]:
     """Return the weights under the published keys with their constants; of the tokenizer inside, the codebook alone."""
     parts = (transformer.cross_blocks, transformer.base_blocks, transformer.head_blocks)
     own, device = transformer.state_dict(), transformer.codebook.device
     width = transformer.head.in_features
     state = {k: own[ours.removeprefix("transformer.")] for k, ours in names(*map(len, parts)).items()}
-    state["trans_base.pos_embedding.weight"] = torch.zeros(positions, width, device=device)
+    state[POSITIONS] = torch.zeros(positions, width, device=device)
     state["trans_base.pos_embed.embed"] = sinusoidal_positions(positions, width, device)[:, None]
     for i in range(len(transformer.cross_blocks)):
         mask = torch.ones(positions, WORDS, device=device).tril()

@@ -27,11 +27,13 @@ def load(
     variant: str | None = None,
     reset: str | None = None,
     mask_padding: bool = True,
+    dilation_growth: int = 3,
 ) -> nn.Module:
     """Load a published VQ-VAE; `reset` (EMACodebook's, default by the number of codes) is for training on.
 
     `variant="raw"` is for statistics that were shipped with the published code, whose deviations are divided already
     (as `t2m_evaluator.load` has it). `mask_padding=False` lets padding leak into the clips' ends.
+    `dilation_growth` of the residual stacks can't be told from shapes.
     """
     kind = "t2m-gpt-vq"
     # The network stands below this name in T2M-GPT's files and its descendants'.
@@ -47,6 +49,7 @@ def load(
             "reset": reset or ("unused" if size >= LARGE else "always"),
         },
         "mask_padding": mask_padding,
+        "dilation_growth": dilation_growth,
     }
     rules = [*conv_rules(spec["down_levels"]), (r"quantizer\.codebook", "quantizer.codebook")]
     return fit_statistics(transfer_codes(spec, state, rules, kind=kind), statistics)

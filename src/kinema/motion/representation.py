@@ -75,6 +75,8 @@ class Representation(nn.Module):
                 f"features have {features.shape[-1]} columns, the {self.kind} representation of skeleton "
                 f"{self.skeleton_name!r} needs at least {self.width}"
             )
+        # NumPy's own numbers are double; the networks behind are not.
+        features = features.float() if features.dtype == torch.float64 else features
         return _padded((features[..., : self.width] - self.mean) / self.std, lengths)
 
     def denormalize(

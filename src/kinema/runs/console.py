@@ -21,7 +21,7 @@ def printable(text: str) -> str:
 class _Lines(Console):
     """Print lines whose first word may be styled, `[red]failed[/]    ...`; what follows is text as it is."""
 
-    def print(self, *objects: Any, **options: Any) -> None:  # type: ignore[override]  # it forwards rich's options
+    def print(self, *objects: Any, **options: Any) -> None:
         """Print."""
         super().print(*(_line(found) if isinstance(found, str) else found for found in objects), **options)
 

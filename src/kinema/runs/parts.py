@@ -21,6 +21,9 @@ GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
 MATCHING, CONTRASTIVE = "matching", "contrastive"
 """The evaluators, T2M-style and CLIP-style."""
 
+DECOMPOSITION = "decomposition"
+"""The autoencoder of short windows whose encoder the T2M-style evaluator reads."""
+
 UPSTREAM, TEXT = "upstream.json", "text.json"
 
 ASKED = "asked"
@@ -38,10 +41,16 @@ def load_part(folder: Path, device: torch.device | str = "cpu", part: str | None
     if not run.weights.is_file():
         state = run.status["state"]
         raise FileNotFoundError(f"{folder} has no {run.weights.name} (its state is {state!r}); finish training it")
-    found = weights.read_meta(run.weights).get("part")
-    if part is not None and found != part:
-        raise ValueError(f"{folder} holds a run of {found!r}; give the folder of a {part!r} run")
+    if part is not None:
+        check_part(folder, part)
     return weights.load(run.weights, device)
+
+
+def check_part(folder: Path, part: str) -> None:
+    """Raise ValueError if a run with weights holds another part than that."""
+    found = weights.read_meta(RunFolder(folder).weights).get("part")
+    if found != part:
+        raise ValueError(f"{folder} holds a run of {found!r}; give the folder of a {part!r} run")
 
 
 def link(run: Path, parts: Mapping[str, Path]) -> None:

@@ -123,4 +123,7 @@ def given_run(cfg: DictConfig, stage: Stage) -> RunFolder | None:
         raise FileNotFoundError(
             f"{path} holds no {run.weights.name}; give the folder of a finished or imported {stage.name} run"
         )
+    from kinema.runs.parts import check_part  # here: what asks for a finished run does not pay for torch
+
+    check_part(run.path, stage.name)
     return run

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
-from kinema.experiments.instantiate import read_model
+from kinema.experiments.instantiate import check_text, read_model
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.pipeline.compatibility import check_pair
@@ -30,8 +30,9 @@ class ConditionedStage(FittedStage):
         return stage if stage.name in self.needs and stage.present(cfg) else None
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
-        """Check the captions, and that the model fits the tokenizer's latents."""
+        """Check the captions, what encodes them, and that the model fits the tokenizer's latents."""
         super().check(cfg, store)
+        check_text(cfg)
         tokenizer = self.tokenizer(cfg)
         if tokenizer is not None:
             check_pair(tokenizer.sketch(cfg), self.sketch(cfg))

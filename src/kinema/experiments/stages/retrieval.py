@@ -34,6 +34,9 @@ class RetrievalStage(Stage):
                 f"corpus {store.name!r} has {count} captions in its training split, fewer than the {wanted} neighbours "
                 "that are retrieved; use a larger corpus or a smaller generator.model.neighbours"
             )
+        from kinema.experiments.instantiate import check_text  # here: it pays for torch
+
+        check_text(cfg)
 
     def make(self, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder) -> Summary:
         """Encode captions and motions, and write them."""

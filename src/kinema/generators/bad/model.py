@@ -179,9 +179,7 @@ class BAD(CodebookReader):
         sampling, draws = sampling or self.sampling, draws or SeededDraws(seeds)
         device, request = self.codebook.device, self.request(text, frames, seeds, known)
         text, editing = text.to(device), known is not None
-        planned = plan(
-            request, sampling, draws, seeds, editing=editing, direction=self.direction, max_latents=self.max_latents
-        )
+        planned = plan(request, sampling, draws, seeds, editing=editing, direction=self.direction)
 
         def predict(codes: Tensor, masked: Tensor, step: int) -> Float[Tensor, "b n k"]:
             with inference(self):

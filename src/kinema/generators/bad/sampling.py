@@ -10,7 +10,7 @@ from torch import Tensor
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.generators.tokens.request import TokenRequest
-from kinema.masking import paper_counts, ranks, shrinking_counts
+from kinema.masking import SLOTS, paper_counts, ranks, shrinking_counts
 from kinema.registry import buildable
 
 SAMPLERS = ("oaas", "cbs", "rs")
@@ -88,7 +88,6 @@ def plan(
     *,
     editing: bool,
     direction: str,
-    max_latents: int,
 ) -> BadPlan:
     """Plan a checked request; the permutation is over all positions, in published edits over the free ones."""
     free, size, device = request.real & ~request.keep, request.keep.shape[1], request.keep.device
@@ -103,11 +102,11 @@ def plan(
     }[sampling.sampler]
     lengths, masked = request.lengths.cpu(), free.sum(dim=1).cpu()
     if sampling.official_inference_mask:
-        counts = _official_counts(lengths, masked, sampling, editing, direction, max_latents)
+        counts = _official_counts(lengths, masked, sampling, editing, direction)
     elif sampling.schedule == "paper":
         counts = paper_counts(masked, sampling.steps)
     else:
-        counts = shrinking_counts(lengths, sampling.steps, max_latents, masked)
+        counts = shrinking_counts(lengths, sampling.steps, masked)
     return BadPlan(request.lengths, free, orders, priority, counts.to(device), sampling.official_inference_mask)
 
 
@@ -117,16 +116,15 @@ def _official_counts(
     sampling: BadSampling,
     editing: bool,
     direction: str,
-    max_latents: int,
 ) -> Int[Tensor, "s b"]:
     """Count as published: edits schedule one position less, of which OAAS keeps one less; a batch of one stops early.
 
     There `step - 1 / S` stands for `(step - 1) / S`: S steps, but 1 for S = 2, 2 for S = 1 and all for S = 0 (BAD §4).
     """
-    counts = shrinking_counts(lengths, sampling.steps, max_latents, masked - int(editing))
+    counts = shrinking_counts(lengths, sampling.steps, masked - int(editing))
     if editing and sampling.sampler == "oaas" and direction == "ge":
         counts = counts + 1
     if len(lengths) == 1:
-        steps = int((sampling.steps / max_latents * lengths).round())
+        steps = int((sampling.steps / SLOTS * lengths).round())
         counts = counts[: {0: sampling.steps, 1: 2, 2: 1}.get(steps, steps)]
     return counts
