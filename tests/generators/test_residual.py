@@ -206,6 +206,21 @@ def test_the_padding_class_is_never_drawn():
     assert result.codes.max() < CODES
 
 
+def test_the_padding_class_adds_nothing_where_it_may_be_drawn():
+    model = make(share_weights=False)
+    with torch.no_grad():
+        model.score_bias[1, CODES] = 1e6  # layer 2's
+    base, own = latents(quantizers=1), ResidualSampling(temperature=0, padding=True)
+    result = model.complete(base, text(), seeds=SEEDS, sampling=own)
+    real = result.mask
+    assert (result.codes[real][:, 2] == -1).all()
+    assert (result.codes[real][:, [0, 1, 3]] >= 0).all()
+    keep = real.clone()
+    keep[:, 3:] = False
+    again = model.complete(base, text(), seeds=SEEDS, known=Known(result, keep), sampling=own)
+    assert torch.equal(again.codes, result.codes)  # what was drawn can be kept
+
+
 def test_kept_positions_keep_every_layer():
     """Where the published code draws them anew, so that frames outside an edit drift."""
     source, model = latents(), make()
@@ -235,9 +250,9 @@ def test_free_positions_of_the_source_do_not_leak():
 
 def test_options_come_from_the_base_generator():
     sizes = {"codebook_size": CODES, "text_dim": 5, "width": 16, "layers": 1, "heads": 2}
-    options = {"residual_guidance": 6.0, "residual_temperature": 0.5, "residual_top_k": 0.0}
+    options = {"residual_guidance": 6.0, "residual_temperature": 0.5, "residual_top_k": 0.0, "residual_padding": True}
     for base, sampling in ((MoMask(code_dim=6, **sizes), MoMaskSampling), (BAMM(code_dim=6, **sizes), BammSampling)):
-        assert base.residual_sampling(sampling(**options)) == ResidualSampling(6.0, 0.5, 0.0)
+        assert base.residual_sampling(sampling(**options)) == ResidualSampling(6.0, 0.5, 0.0, True)
     assert T2MGPT(**sizes).residual_sampling(GptSampling()) == ResidualSampling()
 
 

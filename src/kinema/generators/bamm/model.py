@@ -149,7 +149,12 @@ class BAMM(Slots):
 
     def residual_sampling(self, sampling: BammSampling) -> ResidualSampling:
         """Return the `residual_*` options."""
-        return ResidualSampling(sampling.residual_guidance, sampling.residual_temperature, sampling.residual_top_k)
+        return ResidualSampling(
+            sampling.residual_guidance,
+            sampling.residual_temperature,
+            sampling.residual_top_k,
+            sampling.residual_padding,
+        )
 
     def _draw(self, slots: Int[Tensor, "b s"], generator: torch.Generator | None, shard: tuple[int, int]) -> BammDraws:
         return share_of(

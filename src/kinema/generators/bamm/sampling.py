@@ -51,6 +51,7 @@ class BammSampling:
     residual_guidance: float = 6.0
     residual_temperature: float = 1.0
     residual_top_k: float = 0.9
+    residual_padding: bool = False
     official_inference: bool = False
 
     def __post_init__(self) -> None:

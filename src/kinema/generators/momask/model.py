@@ -31,7 +31,8 @@ class MoMaskSampling:
     """Choose how tokens are sampled, and by `residual_*` how a residual transformer completes them.
 
     `top_k` is the share of the least likely classes that no draw takes (published: 0.9); temperature 0 takes the
-    likeliest class. Published guidance is 4 on HumanML3D, 2 on KIT-ML.
+    likeliest class. Published guidance is 4 on HumanML3D, 2 on KIT-ML. `residual_padding` lets PAD be drawn in the
+    residual layers, as published: such a layer adds nothing.
     """
 
     steps: int = 10
@@ -41,6 +42,7 @@ class MoMaskSampling:
     residual_guidance: float = 5.0
     residual_temperature: float = 1.0
     residual_top_k: float = 0.9
+    residual_padding: bool = False
 
     def __post_init__(self) -> None:
         if self.steps < 1:
@@ -189,7 +191,12 @@ class MoMask(TokenGenerator):
 
     def residual_sampling(self, sampling: MoMaskSampling) -> ResidualSampling:
         """Return the `residual_*` options."""
-        return ResidualSampling(sampling.residual_guidance, sampling.residual_temperature, sampling.residual_top_k)
+        return ResidualSampling(
+            sampling.residual_guidance,
+            sampling.residual_temperature,
+            sampling.residual_top_k,
+            sampling.residual_padding,
+        )
 
     def _draw(
         self, codes: Int[Tensor, "b n"], generator: torch.Generator | None, shard: tuple[int, int]

@@ -20,6 +20,9 @@ from kinema.nn.ranks import mean_over_ranks
 from kinema.registry import buildable
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
+NOTHING = -1
+"""The code of a layer that adds nothing (PAD, once drawn)."""
+
 STREAM = 1
 """Keeps the residual layers' draws apart from those of the base tokens."""
 
@@ -32,6 +35,7 @@ class ResidualSampling:
     guidance: float = 5.0
     temperature: float = 1.0
     top_k: float = 0.9
+    padding: bool = False
 
     def __post_init__(self) -> None:
         check_draw("residual_", self.temperature, self.top_k)
@@ -59,7 +63,7 @@ class ResidualTransformer(LatentModel):
 
     With `share_weights` (as released) layer p has one table, which embeds its codes and, from layer 1 on, scores them;
     without, embedding and scoring have tables of their own and scores a bias. Class `codebook_size` is PAD, which is
-    neither a target nor ever drawn.
+    no target; it is drawn only where `padding` of the sampling says so, as published, and then the layer adds nothing.
     """
 
     space: LatentSpace
@@ -207,15 +211,22 @@ class ResidualTransformer(LatentModel):
                 layer = torch.full((len(codes),), q, device=device)
                 history = self.history(codes, layer)
                 logits = guided_logits(self, history, pooled, layer, real, scale=sampling.guidance).float()
-                logits[..., self.codebook_size] = -torch.inf
+                if not sampling.padding:
+                    logits[..., self.codebook_size] = -torch.inf
                 codes[..., q] = torch.where(keep, given[..., q], choose(q - 1, logits)).masked_fill(~real, 0)
+        codes = codes.masked_fill(codes == self.codebook_size, NOTHING)
         return Latents(lengths=latents.lengths, frames=latents.frames, codes=codes)
 
     def _kept(self, codes: Int[Tensor, "b n q"], known: Known | None) -> tuple[Tensor, Tensor]:
         """Return the mask of the kept positions and the codes they have."""
         if known is None:
             return torch.zeros(codes.shape[:2], dtype=torch.bool, device=codes.device), codes
-        given = check_codes(known.latents, self.space, known.mask.shape[1])
+        own = known.latents.codes
+        nothing = None if own is None else (own == NOTHING) & (torch.arange(own.shape[-1], device=own.device) > 0)
+        filled = known.latents if own is None else replace(known.latents, codes=own.masked_fill(nothing, 0))
+        given = check_codes(filled, self.space, known.mask.shape[1])
+        if nothing is not None:
+            given = given.masked_fill(nothing[..., : self.quantizers] & filled.mask[..., None], self.codebook_size)
         positions = codes.shape[1]
         return known.mask[:, :positions].to(codes.device), given[:, :positions].to(codes.device)
 
