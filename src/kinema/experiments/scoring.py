@@ -28,7 +28,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
 from kinema.runs.build import build
 from kinema.text.cache import CachedTextEncoder
-from kinema.training.fit import Machine
+from kinema.training.machine import Machine
 from kinema.types import MotionBatch
 
 SAMPLES = 6

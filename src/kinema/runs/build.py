@@ -11,28 +11,35 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
+from kinema import options
+
 TRUSTED = ("kinema.",)
 
 
-def build(spec: Any, *, trusted: tuple[str, ...] = TRUSTED, **extra: Any) -> Any:
+def build(spec: Any, *, trusted: tuple[str, ...] = TRUSTED, at: str = "", **extra: Any) -> Any:
     """Build what a spec describes; `extra` adds or replaces arguments of the outermost target.
 
-    Raises ValueError for a target outside the trusted packages, one that is no class, or unknown arguments.
+    `at` is the key that the spec stands under, which errors name (without one, the class). Raises ValueError for a
+    target outside the trusted packages, one that is no class, unknown arguments, or values that an argument's
+    annotation doesn't allow, before anything takes memory.
     """
-    if isinstance(spec, Mapping):
-        arguments = {k: build(v, trusted=trusted) for k, v in spec.items() if k != "_target_"}
-        if "_target_" not in spec:
-            return arguments
+    if isinstance(spec, Mapping) and "_target_" in spec:
         target = locate(str(spec["_target_"]), trusted)
-        arguments |= extra
+        given = {k: v for k, v in spec.items() if k != "_target_"} | extra
+        where = at or target.__name__
         try:
-            inspect.signature(target).bind(**arguments)
+            inspect.signature(target).bind(**given)
         except TypeError as error:
             allowed = ", ".join(inspect.signature(target).parameters)
-            raise ValueError(f"{spec['_target_']}: {error}; its arguments are: {allowed}") from None
+            raise ValueError(f"{at or spec['_target_']}: {error}; its arguments are: {allowed}") from None
+        options.check(target, {k: v for k, v in given.items() if not isinstance(v, Mapping)}, where)
+        arguments = {k: build(v, trusted=trusted, at=f"{where}.{k}") for k, v in given.items()}
+        options.check(target, arguments, where)
         return target(**arguments)
+    if isinstance(spec, Mapping):
+        return {k: build(v, trusted=trusted, at=at and f"{at}.{k}") for k, v in spec.items()}
     if isinstance(spec, list | tuple):
-        return [build(v, trusted=trusted) for v in spec]
+        return [build(v, trusted=trusted, at=at) for v in spec]
     return spec
 
 

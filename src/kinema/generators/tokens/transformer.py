@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from kinema.generators.tokens.words import check_words, visible_words
+from kinema.generators.tokens.words import visible_words
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock, initialize, run
 from kinema.types import Losses, TextFeatures
@@ -41,7 +41,7 @@ class TokenTransformer(nn.Module):
         words: str = "real",
     ) -> None:
         super().__init__()
-        self.words = check_words(words)
+        self.words = words
         self.special = nn.Embedding(specials, code_dim)
         self.input_projection = nn.Linear(code_dim, width)
         self.text_projection = nn.Linear(text_dim, width)
