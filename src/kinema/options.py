@@ -175,10 +175,10 @@ def _ruled(base: Any, rules: Sequence[Any]) -> str:
         case [Len(min_length=least, max_length=most)]:
             size = f"of {least}" if most == least else f"of at least {least}"
             return allowed(base).replace("a list", f"a list {size}", 1)
-        case [Interval(ge=int(least), le=int(most))] if base is int and most < MOST:
+        case [Interval(ge=int(least), le=int(most))] if base is int:
             return f"a whole number from {least} to {most}"
         case [Interval() as both]:
-            return _ruled(base, [bound for bound in both if bound != Le(MOST)])
+            return _ruled(base, list(both))
     return f"{allowed(base)} {' and '.join(map(_bound, rules))}"
 
 

@@ -428,7 +428,7 @@ def test_a_vocabulary_without_padding_is_refused(flan, tmp_path):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda make: make(classes="words"), "choose one of all, motion"),
+        (lambda make: make(classes="words"), "MotionGPT.classes=words: must be one of all, motion"),
         (lambda make: make(prompt="Generate motion"), "no place for the caption"),
         (lambda make: make().sample(text(), FRAMES + 4, seeds=SEEDS), "cannot generate 52 frames; give 4 to 48"),
         (lambda make: make().sample(text([0]), None, seeds=SEEDS), "3 lengths, 1 texts and 3 seeds"),

@@ -76,15 +76,15 @@ def clip_of(corpus: Path, split: str = "train") -> Path:
         (["+tokenizer.train.stepz=3"], ["error: tokenizer.train.stepz is no option"]),
         (["+length.model.widht=3"], ["widht", "its arguments are"]),
         (["+generator.sampling.guidence=3"], ["guidence", "its arguments are", "guidance"]),
-        (["tokenizer.train.data=clip"], ["error: tokenizer.train.data='clip'; allowed: windows, clips"]),
+        (["tokenizer.train.data=clip"], ["error: tokenizer.train.data=clip: must be one of windows, clips"]),
         (["stage=generater"], ["stage='generater' is unknown; allowed: contrastive, decomposition"]),
-        (["seed=-1"], ["seed=-1; it must be an integer of at least 0"]),
+        (["seed=-1"], ["seed=-1: must be a whole number >= 0"]),
         (["data=custom"], ["error: config: Missing mandatory value", "set data.source"]),
-        (["trainer.progress=loud"], ["trainer.progress='loud'; allowed: rich, tqdm, none"]),
-        (["trainer.accelerator=tpux"], ["trainer.accelerator='tpux'; allowed: auto, gpu, cuda, mps, cpu"]),
-        (["logger.names=[tensorbord]"], ["logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"]),
-        (["stage=tokenizer", "tokenizer.train.steps=many"], ["error: tokenizer.train.steps='many'", "number"]),
-        (["stage=tokenizer", "tokenizer.train.steps=0"], ["train.steps=0; it must be at least 1"]),
+        (["trainer.progress=loud"], ["trainer.progress=loud: must be one of rich, tqdm, none"]),
+        (["trainer.accelerator=tpux"], ["trainer.accelerator=tpux: must be one of auto, gpu, cuda, mps, cpu"]),
+        (["logger.names=[tensorbord]"], ["logger.names=["tensorbord"]: must be a list, each one of csv, tensorboard, wandb"]),
+        (["stage=tokenizer", "tokenizer.train.steps=many"], ["error: tokenizer.train.steps=many: must be a whole number"]),
+        (["stage=tokenizer", "tokenizer.train.steps=0"], ["tokenizer.train.steps=0: must be a whole number from 1"]),
         (["stage=tokenizer", "+tokenizer.model.widht=3"], ["widht", "its arguments are", "width"]),
     ],
 )
@@ -101,7 +101,7 @@ def test_what_does_not_fit_the_machine_or_the_corpus_is_named(refused):
 
 
 def test_wrong_evaluations_are_named(refused, tmp_path):
-    assert "source='gen' is unknown; allowed: real, perturbed" in refused("evaluate.py", "source=gen")
+    assert "source=gen: must be one of real, perturbed" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
     assert "train it with `kinema train stage=contrastive data=synthetic" in message

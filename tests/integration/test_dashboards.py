@@ -282,5 +282,7 @@ def test_more_codes_than_wandb_has_bins_are_put_together(tmp_path):
 
 
 def test_an_unknown_dashboard_is_named():
-    with pytest.raises(ValueError, match=r"logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"):
+    with pytest.raises(
+        ValueError, match=r'logger.names=\["tensorbord"\]: must be a list, each one of csv, tensorboard, wandb'
+    ):
         kinds(["tensorbord"])
