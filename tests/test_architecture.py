@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "options": set(),
     "atomic": set(),
     "locks": set(),
-    "seeds": set(),
+    "seeds": {"options"},
     "devices": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},

@@ -323,7 +323,7 @@ def test_nothing_known_is_generation(name):
         (lambda m: make(heads=3), "heads 3"),
         (
             lambda m: make("motiondiffuse", attention="full"),
-            "MotionDiffuse.attention=full: must be one of linear, softmax",
+            "attention=full: must be one of linear, softmax",
         ),
         (lambda m: make("motiondiffuse", sampling=FrameSampling(guidance=2.0)), "sample with guidance=1"),
         (lambda m: make("flow", sampling=FrameSampling(solver="ddim")), "'ddim' is unknown to Flow"),

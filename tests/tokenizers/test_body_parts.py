@@ -136,7 +136,7 @@ def test_the_config_builds_for_every_representation(representation, data):
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="features have 67 columns, this encoder reads 263"):
         make()(torch.zeros(1, 8, 67))
-    with pytest.raises(ValueError, match="BodyPartEncoder.layers=0: must be a whole number from 1"):
+    with pytest.raises(ValueError, match=r"BodyPartEncoder.layers=0: must be a whole number from 1"):
         make(layers=0)
     with pytest.raises(ValueError, match="unknown skeleton 'dog'"):
         make(skeleton="dog")

@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +50,16 @@ def find_reader(name: str) -> Callable[..., Catalog]:
         raise ValueError(f"unknown reader {name!r}; choose one of {', '.join(READERS)}")
     module, _, function = READERS[name].partition(":")
     return getattr(importlib.import_module(module), function)
+
+
+def check_reader(name: str, options: Mapping[str, Any], at: str, *others: str) -> None:
+    """Raise ValueError naming an option under `at` that is wrong, or neither a reader's nor one of `others`."""
+    read, given = find_reader(name), {key: value for key, value in options.items() if value is not None}
+    known = {*inspect.signature(read).parameters, *others} - {"path", "skeleton"}
+    for key in given:
+        if key not in known:
+            raise ValueError(f"{at}.{key} is no option; reader {name} has {', '.join(sorted(known)) or 'none'}")
+    check(read, given, at)
 
 
 def prepare_store(

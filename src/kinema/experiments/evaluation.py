@@ -22,6 +22,7 @@ from kinema.experiments.run import check, command, run_folder, run_stage, stage_
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.locks import attempt
+from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
@@ -162,6 +163,8 @@ def run_evaluation(cfg: DictConfig) -> Row:
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
     _check_judges(cfg, row)
+    if cfg.source == "generation":
+        build(plain(cfg.generator.sampling), at="generator.sampling")
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     wanted = [get_stage(name) for name in row.runs]

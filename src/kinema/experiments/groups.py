@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 from annotated_types import Interval, Len
 from omegaconf import DictConfig, OmegaConf
 
-from kinema.data.prepare import READERS, find_reader, prepare_store
+from kinema.data.prepare import READERS, check_reader, prepare_store
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import DIMS, EDITS, LENGTHS, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
 from kinema.experiments.dashboards import MODES
@@ -218,22 +217,11 @@ def check_groups(cfg: DictConfig) -> None:
     for stage in stages().values():
         if stage.present(cfg):
             check(Part, _mapping(stage.config(cfg), stage.node), stage.node)
-    _check_reader(plain(cfg.data))
+    check_reader(cfg.data.reader, plain(cfg.data.options), "data.options", "legacy_fps", "max_missing", "processes")
+    check(prepare_store, plain(cfg.data.options), "data.options")
 
 
 def _mapping(node: Any, key: str) -> dict[str, Any]:
     if not OmegaConf.is_dict(node):
         raise ValueError(f"{key}={node}: must be a mapping; choose one of the group's files")
     return plain(node)
-
-
-def _check_reader(data: dict[str, Any]) -> None:
-    read, given = find_reader(data["reader"]), {k: v for k, v in data["options"].items() if v is not None}
-    known = {*inspect.signature(read).parameters, "legacy_fps", "max_missing", "processes"} - {"path", "skeleton"}
-    for name in given:
-        if name not in known:
-            raise ValueError(
-                f"data.options.{name} is no option; reader {data['reader']} has {', '.join(sorted(known))}"
-            )
-    check(prepare_store, given, "data.options")
-    check(read, given, "data.options")

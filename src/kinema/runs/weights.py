@@ -48,7 +48,7 @@ def load(path: str | Path, device: torch.device | str = "cpu") -> tuple[nn.Modul
     state, meta = _read(path)
     # Initial values are drawn and then overwritten: the caller's random state must not notice.
     with torch.random.fork_rng(devices=[]):
-        module = build(meta["spec"])
+        module = build(meta["spec"], at=f"{path}: spec")
     if not isinstance(module, nn.Module):
         raise ValueError(f"the spec in {path} describes {type(module).__name__}, not a module; write it again")
     try:
