@@ -9,6 +9,7 @@ from annotated_types import Interval, Len
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.prepare import READERS, check_reader, prepare_store
+from kinema.data.synthetic.corpus import Clips
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import DIMS, EDITS, LENGTHS, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
 from kinema.experiments.dashboards import MODES
@@ -99,7 +100,7 @@ class Scale(Options):
     """Choose what goes with a budget."""
 
     name: str
-    clips: Count
+    clips: Clips
     samples_every: Number
     sample_films: Number
     threads: Threads | None
@@ -144,6 +145,9 @@ class Judges(Options):
 
 
 GROUPS: dict[str, type[Options]] = {
+    "scale": Scale,
+    "scale.protocol": EvaluationProtocol,
+    "method": Method,
     "data": Data,
     "representation": Columns,
     "text": Text,
@@ -152,13 +156,11 @@ GROUPS: dict[str, type[Options]] = {
     "logger": Logger,
     "debug": Debug,
     "paths": Paths,
-    "scale": Scale,
-    "scale.protocol": EvaluationProtocol,
-    "method": Method,
     "edit": Edit,
     "perturb": Perturb,
     "evaluators": Judges,
 }
+"""What others take values from stands first, so that errors name where a value was written."""
 
 
 @dataclass(frozen=True)
@@ -208,11 +210,11 @@ def check_groups(cfg: DictConfig) -> None:
 
     Models, recipes and sampling are checked where they are made (`Stage.check`).
     """
-    check(Request, {str(key): value for key, value in plain(cfg).items() if key != "hydra"}, "")
     for key, kind in GROUPS.items():
         node = OmegaConf.select(cfg, key)
         if node is not None or key.partition(".")[0] in cfg:
             make(kind, _mapping(node, key), key)
+    check(Request, {str(key): value for key, value in plain(cfg).items() if key != "hydra"}, "")
     check(Evaluator, _mapping(cfg.evaluator, "evaluator"), "evaluator")
     for stage in stages().values():
         if stage.present(cfg):
