@@ -13,7 +13,19 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import cache, wraps
 from types import NoneType, UnionType
-from typing import Annotated, Any, Concatenate, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Concatenate,
+    Literal,
+    ParamSpec,
+    Protocol,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from annotated_types import Ge, Gt, Interval, Le, Len, Lt
 
@@ -213,9 +225,17 @@ def _adapter(annotation: Any) -> Any:
 
 def _instances(annotation: Any) -> Any:
     """Replace classes of our own by "an instance of it": what is inside is theirs to check."""
-    from pydantic import InstanceOf
+    from pydantic import AfterValidator, InstanceOf
 
     if get_origin(annotation) in (Union, UnionType):
         return Union[tuple(_instances(argument) for argument in get_args(annotation))]  # noqa: UP007  # of a tuple
     ours = isinstance(annotation, type) and annotation.__module__ not in ("builtins", "typing", "collections.abc")
+    if ours and Protocol in annotation.__bases__:
+        return Annotated[Any, AfterValidator(_made)]  # asking an object for a protocol computes its properties
     return InstanceOf[annotation] if ours else annotation  # type: ignore[misc]
+
+
+def _made(value: Any) -> Any:
+    if value is None or isinstance(value, bool | int | float | str | Sequence | Mapping):
+        raise ValueError("plain data")
+    return value

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows
-from kinema.options import NonNegative, Share, Size, checked
+from kinema.options import Classes, NonNegative, Share, Size, check_value, checked
 from kinema.tokenizers.codebook import EMACodebook, Quantized, perplexity
 
 FEWEST = 3
@@ -42,6 +42,7 @@ class FiniteScalarQuantizer(nn.Module):
     ) -> None:
         super().__init__()
         levels = list(levels)
+        check_value(math.prod(levels), Classes, "the product of levels")
         try:
             from vector_quantize_pytorch import FSQ
         except ImportError as error:
