@@ -434,7 +434,7 @@ def test_a_vocabulary_without_padding_is_refused(flan, tmp_path):
         (lambda make: make().sample(text([0]), None, seeds=SEEDS), "3 lengths, 1 texts and 3 seeds"),
         (lambda make: make().loss(replace(latents(), codes=latents().codes + 15), text()), "is out of range"),
         (lambda make: make().loss(replace(latents(), codes=None, values=torch.zeros(3, 12, 4)), text()), "continuous"),
-        (lambda make: MotionGPTSampling(top_k=0), "at least 1"),
+        (lambda make: MotionGPTSampling(top_k=0), "MotionGPTSampling.top_k=0: must be a whole number from 1"),
     ],
 )
 def test_bad_input_is_named(make, call, message):

@@ -138,7 +138,7 @@ def test_bad_input_is_named():
         make()(torch.zeros(1, 8, 67))
     with pytest.raises(ValueError, match=r"BodyPartEncoder.layers=0: must be a whole number from 1"):
         make(layers=0)
-    with pytest.raises(ValueError, match="unknown skeleton 'dog'"):
+    with pytest.raises(ValueError, match=r"BodyPartEncoder.skeleton=dog: must be one of humanml3d, kit"):
         make(skeleton="dog")
     with pytest.raises(ValueError, match="unknown representation 'full'"):
         make("full")
