@@ -229,6 +229,45 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
         cli.main([*make, "--debug"])
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--set guidance=2,5", "sampling.guidance=[2, 5]: must be a finite number >= 0"),
+        ("--set guidance=high", "sampling.guidance=high: must be a finite number >= 0"),
+        ("--set guidance=", 'sampling.guidance="": must be a finite number >= 0'),
+        ("--set guidance=nan", "sampling.guidance=nan: must be a finite number >= 0"),
+        ("--set guidance=1e999", "sampling.guidance=Infinity: must be a finite number >= 0"),
+        ("--set guidance=null", "sampling.guidance=null: must be a finite number >= 0"),
+        ("--set guidance=true", "sampling.guidance=true: must be a finite number >= 0"),
+        ("--set steps=2.5", "sampling.steps=2.5: must be a whole number from 1"),
+        ("--set steps=1e3", "sampling.steps=1000.0: must be a whole number from 1"),
+        ("--set steps=many", "sampling.steps=many: must be a whole number from 1"),
+        ("--set solver=fast", "sampling.solver=fast: must be one of ancestral, "),
+        ("--set solver_steps=x", "sampling.solver_steps=x: must be a whole number from 1 to 100000 or counts such as"),
+        ("--set clip_latents=maybe", "sampling.clip_latents=maybe: must be true or false"),
+        ("--set frames=3", "unknown sampling field 'frames'; allowed: steps"),
+        ("--set seed=3", "unknown sampling field 'seed'; allowed: steps"),
+        ("--seed -1", "seed=-1: must be a whole number >= 0"),
+        ("--seed 9223372036854775808", "seed=9223372036854775808: must be a whole number >= 0"),
+    ],
+)
+def test_a_wrong_option_of_sampling_is_one_line(run, capsys, words, message):
+    fails(capsys, ["generate", "x", "--run", str(run), "--out", "a.npz", "--frames", "8", *words.split()], message)
+
+
+def test_a_wrong_length_or_number_of_processes_is_one_line(run, capsys):
+    make = ["generate", "x", "--run", str(run), "--out", "a.npz"]
+    for seconds, shown in (("inf", "Infinity"), ("nan", "NaN"), ("-inf", "-Infinity")):
+        fails(capsys, [*make, f"--seconds={seconds}"], f"seconds={shown}: must be a finite number")
+    change = ["edit", "--motion", "none.npz", "--text", "x", "--run", str(run), "--out", "a.npz", "--set", "motions=3"]
+    fails(capsys, [*change, "--regenerate", "0:4"], "unknown sampling field 'motions'; allowed: steps")
+    make = ["prepare", "--format", "synthetic", "--out", "store"]
+    for processes in (-1, 0, 10**6):
+        fails(capsys, [*make, "--processes", str(processes)], f"--processes={processes}: must be a whole number from 1")
+    for given, message in (("size=many", "--set.size=many: must be a whole"), ("sizes=3", "--set.sizes is no option")):
+        fails(capsys, [*make, "--set", given], message)
+
+
 def test_an_autoencoder_without_statistics_says_so(run, capsys):
     assert cli.main(["import", "mardm-ae", "ae.tar", "--out", "runs/bare"]) == 0
     assert "import it with --statistics PATH" in capsys.readouterr().out

@@ -10,6 +10,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from kinema.options import Seed, check_value
+
 _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 _GOLDEN = 0x9E3779B97F4A7C15
 _MASK = (1 << 64) - 1
@@ -39,8 +41,7 @@ def item_seed(seed: int, epoch: int, index: int) -> int:
 def request_seeds(seed: int | None, size: int) -> list[int]:
     """Derive one seed per sample of a request; the first is the seed itself (drawn if None), so that it repeats all."""
     seed = secrets.randbelow(2**31) if seed is None else seed
-    if not 0 <= seed < 2**63:
-        raise ValueError(f"seed {seed} is out of range; allowed: 0 to 2**63 - 1")
+    check_value(seed, Seed, "seed")
     rest = (np.random.SeedSequence([seed, i]).generate_state(1, np.uint64)[0] for i in range(1, size))
     return [seed, *(int(s) >> 16 for s in rest)]
 

@@ -11,8 +11,9 @@ from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.text.clip import ClipTextEncoder
 from kinema.training.callbacks import EMA
-from kinema.training.fit import Machine, fit
+from kinema.training.fit import fit
 from kinema.training.latents import EncodeEachTime, latent_source
+from kinema.training.machine import Machine
 from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
 

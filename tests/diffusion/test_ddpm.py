@@ -193,7 +193,7 @@ def test_bad_choices_are_named():
         process.sample(lambda x, t: x, noises(1, 1), solver="ddim", steps=10, temperature=0.5)
     with pytest.raises(ValueError, match="cannot take 49 steps out of 48"):
         process.sample(lambda x, t: x, noises(1, 1), solver="ddim", steps=49)
-    with pytest.raises(ValueError, match="prediction 'v' is unknown; choose one of epsilon, x0, velocity"):
+    with pytest.raises(ValueError, match=r"DDPM.prediction=v: must be one of epsilon, x0, velocity"):
         DDPM(prediction="v")
 
 

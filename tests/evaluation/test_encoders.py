@@ -158,7 +158,7 @@ def test_bad_inputs_are_named(make):
         make.matching().embed_motion(make.batch(lengths=[8, 8, 3, 8, 8, 8, 8, 8]))
     with pytest.raises(ValueError, match=r"drop_contacts=True needs the redundant"):
         make.matching(drop_contacts=True)
-    with pytest.raises(ValueError, match=r"padding='zero'; allowed: masked, legacy"):
+    with pytest.raises(ValueError, match=r"MatchingEvaluator.padding=zero: must be one of masked, legacy"):
         make.matching(padding="zero")
     with pytest.raises(ValueError, match="set token_width=64"):
         make.contrastive(token_width=32)

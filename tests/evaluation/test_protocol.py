@@ -229,8 +229,8 @@ def test_a_clip_that_is_not_finite_is_named(make, where):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"leftover": "pad"}, r"leftover='pad'; allowed: drop, keep, mld"),
-        ({"pool": 1}, r"protocol\.pool=1; it must be at least 2"),
+        ({"leftover": "pad"}, "EvaluationProtocol.leftover=pad: must be one of drop, keep, mld"),
+        ({"pool": 1}, "EvaluationProtocol.pool=1: must be a whole number from 2"),
         ({"mm_repeats": 1}, r"mm_repeats=1; MultiModality compares at least 2"),
         ({"max_batches": 0}, r"max_batches=0"),
     ],

@@ -154,7 +154,7 @@ def test_optuna_tries_what_the_results_of_val_suggest(script, tmp_path):
     best = min(scored_lines(row)[0]["metrics"]["fid"] for row in rows)
     assert f"best_value: {best}" in (tmp_path / "sweep/optimization_results.yaml").read_text()
     refused = script("evaluate.py", "source=real", "objective=fid", check=False)
-    assert refused.returncode == 1
+    assert refused.returncode == 2
     assert "only val selects: set scale.protocol.split=val" in refused.stderr
 
 

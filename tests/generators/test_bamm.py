@@ -481,12 +481,15 @@ def test_edit_with_everything_known_returns_the_source():
             lambda m: m.loss(Latents(FRAMES // 4, FRAMES, values=torch.zeros(3, 12, 6)), text()),
             "the tokenizer gives continuous values",
         ),
-        (lambda m: make("both"), "choose one of pre, post"),
+        (lambda m: make("both"), "BAMM.norm=both: must be one of pre, post"),
         (lambda m: make(heads=3), "heads 3"),
-        (lambda m: replace(SAMPLING, iterations=0), "at least 1"),
-        (lambda m: replace(SAMPLING, temperature=-1.0), "temperature is -1.0"),
-        (lambda m: replace(SAMPLING, remask="half"), "choose one of confidence, order"),
-        (lambda m: replace(SAMPLING, residual_top_k=1.0), "residual_top_k is 1.0"),
+        (lambda m: replace(SAMPLING, iterations=0), "BammSampling.iterations=0: must be a whole number from 1"),
+        (lambda m: replace(SAMPLING, temperature=-1.0), "BammSampling.temperature=-1.0: must be"),
+        (lambda m: replace(SAMPLING, remask="half"), "BammSampling.remask=half: must be one of confidence, order"),
+        (
+            lambda m: replace(SAMPLING, residual_top_k=1.0),
+            "BammSampling.residual_top_k=1.0: must be .* < 1",
+        ),
     ],
 )
 def test_bad_input_is_named(call, message):

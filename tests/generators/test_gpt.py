@@ -339,7 +339,7 @@ def test_top_k_one_is_greedy():
 @pytest.mark.parametrize("options", [{"temperature": -1}, {"top_k": 0}, {"top_p": 0.0}, {"top_p": 1.5}])
 def test_sampling_options_out_of_range(options):
     ((name, value),) = options.items()
-    with pytest.raises(ValueError, match=f"sampling.{name} is {value}"):
+    with pytest.raises(ValueError, match=f"GptSampling.{name}={value}: must be"):
         GptSampling(**options)
 
 
@@ -387,8 +387,8 @@ def test_a_known_code_acts_to_its_right_only():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"words": "some"}, "words 'some' is unknown; choose one of real, all"),
-        ({"pkeep": 1.5}, r"pkeep is 1.5; give a share in \[0, 1\], or -1"),
+        ({"words": "some"}, "T2MGPT.words=some: must be one of real, all"),
+        ({"pkeep": 1.5}, "T2MGPT.pkeep=1.5: must be a finite number >= 0 and <= 1 or -1"),
         ({"heads": 3}, "width 16 is not a multiple of heads 3"),
         ({"cross_layers": 2, "token_dim": None}, "cross_layers=2 need token_dim"),
     ],

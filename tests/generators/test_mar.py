@@ -401,10 +401,13 @@ def test_mask_free_edit_changes_its_share(resample_all):
         (lambda m: m.loss(replace(latents(), values=torch.zeros(3, 12, 7)), text()), "not for values of 7 channels"),
         (lambda m: m.loss(replace(latents(), values=torch.zeros(3, 13, 6)), text()), "exceed max_latents=12"),
         (lambda m: m.set_latent_range(torch.ones(6), torch.zeros(6)), "minimum exceeds"),
-        (lambda m: make(mask_length="half"), "choose one of padded, own"),
+        (lambda m: make(mask_length="half"), "MARDM.mask_length=half: must be one of padded, own"),
         (lambda m: make(heads=3), "heads 3"),
-        (lambda m: replace(SAMPLING, steps=0), "at least 1"),
-        (lambda m: replace(SAMPLING, edit_fraction=2.0), r"share in \(0, 1\]"),
+        (lambda m: replace(SAMPLING, steps=0), "MarSampling.steps=0: must be a whole number from 1"),
+        (
+            lambda m: replace(SAMPLING, edit_fraction=2.0),
+            "MarSampling.edit_fraction=2.0: must be .* <= 1",
+        ),
     ],
 )
 def test_bad_input_is_named(call, message):

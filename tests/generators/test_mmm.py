@@ -270,9 +270,9 @@ def test_nothing_known_is_generation():
         (lambda m: m.loss(replace(latents(), codes=latents().codes + CODES), text()), "allows 0 to 16"),
         (lambda m: m.loss(Latents(FRAMES // 4, FRAMES, values=torch.zeros(3, 12, 4)), text()), "continuous values"),
         (lambda m: m.set_codebook(torch.zeros(3, 4)), r"codebook is \(3, 4\)"),
-        (lambda m: make(pkeep=1.5), r"pkeep is 1.5.*or -1"),
-        (lambda m: MmmSampling(steps=0), "at least 1"),
-        (lambda m: MmmSampling(temperature=-1.0), "likeliest codes"),
+        (lambda m: make(pkeep=1.5), r"MMM.pkeep=1.5: must be .* or -1"),
+        (lambda m: MmmSampling(steps=0), "MmmSampling.steps=0: must be a whole number from 1"),
+        (lambda m: MmmSampling(temperature=-1.0), "MmmSampling.temperature=-1.0: must be a finite number >= 0"),
     ],
 )
 def test_bad_input_is_named(call, message):

@@ -295,9 +295,12 @@ def test_nothing_known_is_generation():
         (lambda m: m.loss(replace(latents(), codes=torch.full((3, 12, 1), CODES)), text()), f"token id {CODES} is out"),
         (lambda m: m.loss(Latents(FRAMES // 4, FRAMES, torch.zeros(3, 12, 6)), text()), "continuous values"),
         (lambda m: make(heads=3), "heads 3"),
-        (lambda m: MoMaskSampling(steps=0), "sampling.steps is 0; give at least 1"),
-        (lambda m: MoMaskSampling(temperature=-1), "sampling.temperature is -1"),
-        (lambda m: MoMaskSampling(residual_top_k=1.0), r"sampling.residual_top_k is 1.0.*\[0, 1\)"),
+        (lambda m: MoMaskSampling(steps=0), "MoMaskSampling.steps=0: must be a whole number from 1"),
+        (lambda m: MoMaskSampling(temperature=-1), "MoMaskSampling.temperature=-1: must be a finite number >= 0"),
+        (
+            lambda m: MoMaskSampling(residual_top_k=1.0),
+            "MoMaskSampling.residual_top_k=1.0: must be .* < 1",
+        ),
     ],
 )
 def test_bad_input_is_named(call, message):

@@ -428,13 +428,13 @@ def test_a_vocabulary_without_padding_is_refused(flan, tmp_path):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda make: make(classes="words"), "choose one of all, motion"),
+        (lambda make: make(classes="words"), "MotionGPT.classes=words: must be one of all, motion"),
         (lambda make: make(prompt="Generate motion"), "no place for the caption"),
         (lambda make: make().sample(text(), FRAMES + 4, seeds=SEEDS), "cannot generate 52 frames; give 4 to 48"),
         (lambda make: make().sample(text([0]), None, seeds=SEEDS), "3 lengths, 1 texts and 3 seeds"),
         (lambda make: make().loss(replace(latents(), codes=latents().codes + 15), text()), "is out of range"),
         (lambda make: make().loss(replace(latents(), codes=None, values=torch.zeros(3, 12, 4)), text()), "continuous"),
-        (lambda make: MotionGPTSampling(top_k=0), "at least 1"),
+        (lambda make: MotionGPTSampling(top_k=0), "MotionGPTSampling.top_k=0: must be a whole number from 1"),
     ],
 )
 def test_bad_input_is_named(make, call, message):

@@ -272,7 +272,7 @@ def test_an_edit_keeps_bits_and_regenerates_the_rest():
         (lambda: make(neighbours=9), "8 captions, fewer than the 9 neighbours"),
         (lambda: make(frame_dim=5), "frames of 6 numbers, this model reads 5"),
         (lambda: make(token_dim=5), "token features of 7 numbers, this model reads 5"),
-        (lambda: make(exclusion="none"), "choose one of same_id, legacy_length"),
+        (lambda: make(exclusion="none"), "ReMoDiffuse.exclusion=none: must be one of same_id, legacy_length"),
         (lambda: make(heads=3), "heads 3"),
         (lambda: make().attach("retrieval", torch.nn.Linear(1, 1)), "a Linear is no retrieval database"),
         (lambda: make().attach("residual", database()), "takes no 'residual'; it takes retrieval"),

@@ -269,9 +269,9 @@ def test_options_come_from_the_base_generator():
         (lambda m: m.complete(replace(latents(), codes=latents().codes + CODES), text(), seeds=SEEDS), "out of range"),
         (
             lambda m: ResidualTransformer(codebook_size=8, code_dim=6, text_dim=5, quantizers=1),
-            "quantizers is 1; a residual transformer needs a tokenizer of 2 or more",
+            "ResidualTransformer.quantizers=1: must be a whole number from 2",
         ),
-        (lambda m: ResidualSampling(temperature=-1), "sampling.residual_temperature is -1"),
+        (lambda m: ResidualSampling(temperature=-1), "ResidualSampling.temperature=-1: must be a finite number >= 0"),
     ],
 )
 def test_bad_input_is_named(call, message):

@@ -130,7 +130,7 @@ def test_losses_average_samples_not_tokens(conditions):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: make(words="some"), "choose one of real, all"),
+        (lambda: make(words="some"), "TokenTransformer.words=some: must be one of real, all"),
         (lambda: make().set_codebook(torch.zeros(CODES, DIM + 1)), r"codebook is \(11, 4\).*\(11, 3\)"),
         (lambda: make()(IDS, TextFeatures(["", ""], torch.zeros(2, TEXT)), KEYS), "reads_tokens"),
     ],

@@ -292,8 +292,3 @@ def test_more_codes_than_wandb_has_bins_are_put_together(tmp_path):
     with dashboards(kinds(["wandb"]), tmp_path, About("a-run-0123456789ab")) as (board,):
         board.show(3, "codes", counts)
     assert wandb_rows(tmp_path)[3]["codes/layer_1/values"] == [3] * 512
-
-
-def test_an_unknown_dashboard_is_named():
-    with pytest.raises(ValueError, match=r"logger.names has 'tensorbord'; allowed: csv, tensorboard, wandb"):
-        kinds(["tensorbord"])

@@ -136,9 +136,9 @@ def test_the_config_builds_for_every_representation(representation, data):
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="features have 67 columns, this encoder reads 263"):
         make()(torch.zeros(1, 8, 67))
-    with pytest.raises(ValueError, match="layers=0; part tokens need at least 1 layer"):
+    with pytest.raises(ValueError, match=r"BodyPartEncoder.layers=0: must be a whole number from 1"):
         make(layers=0)
-    with pytest.raises(ValueError, match="unknown skeleton 'dog'"):
+    with pytest.raises(ValueError, match=r"BodyPartEncoder.skeleton=dog: must be one of humanml3d, kit"):
         make(skeleton="dog")
     with pytest.raises(ValueError, match="unknown representation 'full'"):
         make("full")

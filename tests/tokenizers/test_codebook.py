@@ -176,7 +176,7 @@ def test_lookup():
 
 
 def test_what_cannot_work_is_named():
-    with pytest.raises(ValueError, match="reset 'never' is unknown; choose one of always, unused"):
+    with pytest.raises(ValueError, match=r"EMACodebook.reset=never: must be one of always, unused"):
         EMACodebook(4, 2, reset="never")
     with pytest.raises(ValueError, match="no real position"):
         make("always")(rows(0), real(0, 0, 0, 0))

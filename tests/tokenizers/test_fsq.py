@@ -122,7 +122,7 @@ def test_the_config_has_about_as_many_codes_as_vq(scale):
 
 def test_bad_input_is_named(monkeypatch):
     for levels in ([], [8, 2], [0]):
-        with pytest.raises(ValueError, match=r"levels=.*each at least 3"):
+        with pytest.raises(ValueError, match=r"levels=.*: must be a list of at least 1, each a whole number from 3"):
             make(levels)
     with pytest.raises(ValueError, match="codebook_size=64, but the quantizer's is 60"):
         VQVAE(Representation("essential", "humanml3d"), codebook_size=64, code_dim=8, quantizer=make())

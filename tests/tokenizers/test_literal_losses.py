@@ -82,5 +82,5 @@ def test_both_codebooks_look_codes_up_alike():
 
 
 def test_an_unknown_error_is_named():
-    with pytest.raises(ValueError, match="error 'l3' is unknown; choose one of smooth_l1, l1, l2"):
+    with pytest.raises(ValueError, match="error=l3: must be one of smooth_l1, l1, l2"):
         AutoEncoder(representation(), error="l3")

@@ -83,5 +83,5 @@ def test_lookup_of_fewer_layers_or_none():
 
 
 def test_no_layers_are_named():
-    with pytest.raises(ValueError, match="quantizers=0; a residual quantiser has one layer at least"):
+    with pytest.raises(ValueError, match=r"ResidualQuantizer.quantizers=0: must be a whole number from 1"):
         ResidualQuantizer(4, 2, quantizers=0)

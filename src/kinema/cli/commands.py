@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import os
 import platform
@@ -12,7 +11,7 @@ from pathlib import Path
 import torch
 
 from kinema.data import doctor as examine
-from kinema.data.prepare import READERS
+from kinema.data.prepare import check_reader, find_reader
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
@@ -25,6 +24,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
+from kinema.options import Threads, check_value
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import complement, parse_ranges
 from kinema.report.index import write_site
@@ -41,6 +41,7 @@ def generate(options: argparse.Namespace) -> None:
     """Generate one motion per text, or one long motion of all."""
     files = _files(options.out, 1 if options.chain else len(options.text))
     model = _model(options)
+    model.changed_sampling(options.set)  # before its names can stand for other arguments
     lengths = {"frames": options.frames, "seconds": options.seconds}
     if options.chain:
         _write([model.chain(options.text, **lengths, seed=options.seed, **options.set)], files)
@@ -54,6 +55,7 @@ def edit(options: argparse.Namespace) -> None:
     if given is None and options.parts is None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
+    model.changed_sampling(options.set)
     motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width)
     frames = None
     if given is not None:
@@ -111,20 +113,23 @@ def prepare(options: argparse.Namespace) -> None:
     """Turn a corpus into a packed store."""
     official = options.format in ("humanml3d", "kit")
     skeleton = options.format if official else options.skeleton
-    module, _, function = READERS["official" if official else options.format].partition(":")
+    reader = "official" if official else options.format
+    check_reader(reader, options.set, "--set")
+    processes = min(4, os.cpu_count() or 1) if options.processes is None else options.processes
+    check_value(processes, Threads, "--processes")
     settings = options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
     if (options.source is None) != (options.format == "synthetic"):
         needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
         raise ValueError(f"--format {options.format} {needs}")
     source = [] if options.source is None else [options.source]
-    catalog = getattr(importlib.import_module(module), function)(*source, **settings)
+    catalog = find_reader(reader)(*source, **settings)
     path = write_store(
         catalog,
         options.out,
         name=options.name or options.format,
         skeleton=skeleton,
         mirror=not official and not options.no_mirror,
-        processes=options.processes or min(4, os.cpu_count() or 1),
+        processes=processes,
     )
     store = PackedStore.open(path)
     print(printable(f"wrote {path}: {store!r}"))

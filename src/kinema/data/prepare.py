@@ -12,7 +12,7 @@ import os
 import re
 import shutil
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +28,7 @@ from kinema.data.packing import StoreWriter
 from kinema.data.store import FORMAT, PackedStore
 from kinema.locks import hold
 from kinema.motion.skeleton import get_skeleton
+from kinema.options import Share, Threads, check
 
 VERSION = 1
 """Raised when preparing the same corpus gives another store, so that stores made before are not taken for it."""
@@ -44,6 +45,24 @@ request: raise it when the same source gives other clips.
 """
 
 
+def find_reader(name: str) -> Callable[..., Catalog]:
+    """Find a reader; raises ValueError naming those there are."""
+    if name not in READERS:
+        raise ValueError(f"unknown reader {name!r}; choose one of {', '.join(READERS)}")
+    module, _, function = READERS[name].partition(":")
+    return getattr(importlib.import_module(module), function)
+
+
+def check_reader(name: str, options: Mapping[str, Any], at: str, *others: str) -> None:
+    """Raise ValueError naming an option under `at` that is wrong, or neither a reader's nor one of `others`."""
+    read, given = find_reader(name), {key: value for key, value in options.items() if value is not None}
+    known = {*inspect.signature(read).parameters, *others} - {"path", "skeleton"}
+    for key in given:
+        if key not in known:
+            raise ValueError(f"{at}.{key} is no option; reader {name} has {', '.join(sorted(known)) or 'none'}")
+    check(read, given, at)
+
+
 def prepare_store(
     reader: str,
     source: str | Path | None,
@@ -53,8 +72,8 @@ def prepare_store(
     skeleton: str = "humanml3d",
     mirror: bool | None = None,
     legacy_fps: bool = False,
-    max_missing: float = 0.05,
-    processes: int = 1,
+    max_missing: Share = 0.05,
+    processes: Threads = 1,
     **reader_options: Any,
 ) -> Path:
     """Prepare a corpus below `out_root`, or give the store that the same request made before, in milliseconds.
@@ -63,12 +82,9 @@ def prepare_store(
     corpus that is generated. `mirror` defaults to True, except for official folders, which hold their mirrored clips
     already. The other options are those of `prepare`; what is left goes to the reader.
     """
-    if reader not in READERS:
-        raise ValueError(f"unknown reader {reader!r}; choose one of {', '.join(READERS)}")
     mirror = reader != "official" if mirror is None else mirror
     options: dict[str, Any] = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
-    module, _, function = READERS[reader].partition(":")
-    read = getattr(importlib.import_module(module), function)
+    read, module = find_reader(reader), READERS[reader].partition(":")[0]
     if "skeleton" in inspect.signature(read).parameters:
         reader_options["skeleton"] = skeleton
     versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
@@ -89,8 +105,8 @@ def prepare(
     skeleton: str = "humanml3d",
     mirror: bool = True,
     legacy_fps: bool = False,
-    max_missing: float = 0.05,
-    processes: int = 1,
+    max_missing: Share = 0.05,
+    processes: Threads = 1,
     request: str | None = None,
 ) -> Path:
     """Write clips as a packed store at `out_dir`; nothing half-written stays, whatever happens.
@@ -102,6 +118,7 @@ def prepare(
     Raises ValueError if no clip is usable, if more than the share `max_missing` of the listed clips lacks its files,
     if an array has the wrong shape, or if `out_dir` holds another content.
     """
+    check(prepare, {"max_missing": max_missing, "processes": processes}, "prepare")
     out, body = Path(out_dir), get_skeleton(skeleton)
     catalog = clips if isinstance(clips, Catalog) else Catalog(list(clips))
     _check_catalog(catalog, name, mirror, max_missing)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float
@@ -12,7 +13,8 @@ from torch import Tensor, nn
 from kinema.diffusion.denoising import ODE_SOLVERS, ancestral
 from kinema.diffusion.guidance import Predict
 from kinema.diffusion.predictions import PREDICTIONS
-from kinema.diffusion.schedules import Schedule, make_schedule
+from kinema.diffusion.schedules import BETAS, Schedule, make_schedule
+from kinema.options import OneOf, Size, checked
 from kinema.registry import buildable
 
 SOLVERS = ("ancestral", *ODE_SOLVERS)
@@ -31,15 +33,14 @@ class DDPM(nn.Module):
     signal: Tensor
     noise: Tensor
 
+    @checked
     def __init__(
         self,
-        steps: int = 50,
-        schedule: str = "cosine",
-        prediction: str = "epsilon",
+        steps: Size = 50,
+        schedule: Annotated[str, OneOf(BETAS)] = "cosine",
+        prediction: Annotated[str, OneOf(PREDICTIONS)] = "epsilon",
     ) -> None:
         super().__init__()
-        if prediction not in PREDICTIONS:
-            raise ValueError(f"prediction {prediction!r} is unknown; choose one of {', '.join(PREDICTIONS)}")
         self.schedule = make_schedule(schedule, steps)
         self.prediction = prediction
         alphas_cumprod = self.schedule.alphas_cumprod

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +20,6 @@ TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 DIMS, PERTURBATIONS = ("essential", "redundant"), ("add", "replace")
 SPACES = ("evaluator", "corpus")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
-TYPICAL = {
-    "data": "custom",
-    "representation": "essential",
-    "text": "minilm",
-    "trainer": "default",
-    "callbacks": "default",
-    "logger": "csv",
-    "debug": "none",
-}
-"""Groups that are no class's arguments, each with a file that has all options of the group."""
 SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "reconstruction", "generation")
 
 
@@ -94,32 +83,18 @@ def plain(node: Any) -> Any:
 
 def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
-    check_options(cfg)
-    checks = []
+    from kinema.experiments.groups import check_groups  # here: composing alone needs no torch
+
+    check_groups(cfg)
     if "source" in cfg:
-        checks += [("source", cfg.source, SOURCES), ("task", cfg.task, TASKS), ("lengths", cfg.lengths, LENGTHS)]
-        checks.append(("edit.task", cfg.edit.task, EDITS))
-        checks += [("perturb.dims", cfg.perturb.dims, DIMS), ("perturb.how", cfg.perturb.how, PERTURBATIONS)]
-        checks.append(("perturb.space", cfg.perturb.space, SPACES))
-    for name, value, allowed in checks:
-        if value not in allowed:
-            raise ValueError(f"{name}={value!r} is unknown; allowed: {', '.join(allowed)}")
-    if "source" in cfg and cfg.task == "editing" and cfg.source != "generation":
-        raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
-    if "source" in cfg and not isinstance(cfg.lift, bool):
-        raise ValueError(f"lift={cfg.lift!r}; it must be true or false")
-    if "source" in cfg and not (isinstance(cfg.perturb.level, int | float) and 0 <= cfg.perturb.level < math.inf):
-        raise ValueError(f"perturb.level={cfg.perturb.level!r}; it must be a number of at least 0 (deviations)")
-    if "source" in cfg:
+        if cfg.task == "editing" and cfg.source != "generation":
+            raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
         _check_scoring(cfg)
-    for key, seed in (("seed", cfg.seed), ("evaluator.seed", cfg.evaluator.seed)):
-        if not isinstance(seed, int) or seed < 0:
-            raise ValueError(f"{key}={seed!r}; it must be an integer of at least 0")
 
 
 def _check_scoring(cfg: DictConfig) -> None:
     count, asked = cfg.scale.protocol.replications, plain(cfg.replications)
-    if asked is not None and not (isinstance(asked, list) and asked and set(asked) <= set(range(count))):
+    if asked is not None and max(asked) >= count:
         raise ValueError(
             f"replications={asked!r}; it must be null or a list of some of 0 ... {count - 1} "
             "(scale.protocol.replications says how many there are)"
@@ -129,14 +104,6 @@ def _check_scoring(cfg: DictConfig) -> None:
             f"objective={cfg.objective} with scale.protocol.split={cfg.scale.protocol.split}; only val selects: set "
             "scale.protocol.split=val"
         )
-
-
-def check_options(cfg: DictConfig) -> None:
-    """Refuse an option that nothing reads; those of models, recipes and sampling are their classes' to check."""
-    for group, option in TYPICAL.items():
-        options = {str(key) for key in OmegaConf.load(CONF / group / f"{option}.yaml")} - {"defaults"}
-        for key in sorted(cfg[group].keys() - options):
-            raise ValueError(f"{group}.{key} is no option; {group} has {', '.join(sorted(options))}")
 
 
 def refuse_processes(cfg: DictConfig, multirun: bool) -> None:

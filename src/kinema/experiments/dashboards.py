@@ -14,17 +14,10 @@ from kinema.experiments.config import plain
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import read_lines
-from kinema.training.dashboards import About, Dashboard, check_names, dashboards, kinds
+from kinema.training.dashboards import About, Dashboard, dashboards, kinds
 from kinema.training.record import Record
 
 MODES = ("offline", "online")
-
-
-def check_logger(cfg: DictConfig) -> None:
-    """Raise ValueError naming an option of the logger that is wrong."""
-    check_names(cfg.logger.names)
-    if cfg.logger.mode not in MODES:
-        raise ValueError(f"logger.mode={cfg.logger.mode!r}; allowed: {', '.join(MODES)}")
 
 
 def opened(

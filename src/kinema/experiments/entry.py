@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -19,8 +20,21 @@ EXPECTED = (ValueError, OSError, ImportError)
 """What a user can mend: told in one line."""
 
 
+@contextlib.contextmanager
+def refusals() -> Iterator[None]:
+    """End with exit code 2, as `kinema` does, where sys.exit(TEXT) alone would give 1."""
+    try:
+        yield
+    except SystemExit as stop:
+        if not isinstance(stop.code, str):
+            raise
+        print(stop.code, file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+@refusals()
 def train(arguments: Sequence[str] | None = None) -> None:
-    """Train, resume or return the run that the configuration names; exit 1 with one line for a user's error.
+    """Train, resume or return the run that the configuration names; exit 2 with one line for a user's error.
 
     A sweeper is given the validation loss of the weights that were kept.
     `arguments` are Hydra's (sys.argv's if left out): overrides such as stage=generator method=mardm_sit, or flags.
@@ -34,6 +48,7 @@ def train(arguments: Sequence[str] | None = None) -> None:
     _run("train", stage, arguments)
 
 
+@refusals()
 def evaluate(arguments: Sequence[str] | None = None) -> None:
     """Append the replications of one row that are missing, one JSON line each; arguments and errors as of `train`.
 

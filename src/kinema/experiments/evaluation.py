@@ -16,7 +16,7 @@ from kinema.atomic import write_text
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions
-from kinema.experiments.dashboards import check_logger, show_results
+from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
@@ -164,8 +164,9 @@ def run_evaluation(cfg: DictConfig) -> Row:
 
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
-    check_logger(cfg)
     _check_judges(cfg, row)
+    if cfg.source == "generation":
+        build(plain(cfg.generator.sampling), at="generator.sampling")
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     _check_reads(cfg)

@@ -28,7 +28,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
 from kinema.runs.build import build
 from kinema.text.cache import CachedTextEncoder
-from kinema.training.fit import Machine
+from kinema.training.machine import Machine
 from kinema.types import MotionBatch
 
 SAMPLES = 6
@@ -151,7 +151,7 @@ class Scorer:
             # The parts that the row is named by, whatever the generator's run links to.
             (run,) = row.subject.values()
             model = TextToMotion.from_run(run, device=self.device, **row.beside)
-            sampling = build(plain(cfg.generator.sampling))
+            sampling = build(plain(cfg.generator.sampling), at="generator.sampling")
             model.generator.check_sampling(sampling)
             # The run's own text encoder, which need not be the configuration's (an imported run).
             model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)

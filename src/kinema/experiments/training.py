@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from omegaconf import DictConfig
@@ -16,26 +16,35 @@ from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.devices import find_device, global_rank
 from kinema.experiments.config import plain
-from kinema.experiments.dashboards import check_logger, training_dashboards
+from kinema.experiments.dashboards import training_dashboards
 from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.generators import LatentModel
 from kinema.motion.representation import Representation
+from kinema.options import Count, OneOf, Options, check, make
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs import weights
 from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
 from kinema.seeds import training_seed
-from kinema.training.fit import Machine, fit
+from kinema.training.fit import fit
 from kinema.training.latents import latent_source
+from kinema.training.machine import Machine
 from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
 from kinema.training.record import Record
 from kinema.types import Latents, MotionBatch
 
-NUMBERS = ("steps", "epochs", "batch_size", "lr", "weight_decay", "warmup", "validate_every", "checkpoint_every")
+
+@dataclass(frozen=True)
+class Budget(Options):
+    """What a recipe in the configuration has beside a `Recipe`: the kind of data, and epochs in place of steps."""
+
+    data: Annotated[str, OneOf(KINDS)]
+    steps: Count | None = None
+    epochs: Count | None = None
 
 
 def make_model(
@@ -79,16 +88,10 @@ def make_model(
 
 
 def check_options(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> None:
-    """Raise ValueError naming an option of machine, logger or recipe that is wrong."""
-    Machine(**plain(cfg.trainer))
+    """Raise ValueError naming a machine that isn't there, or an option of the recipe that is wrong."""
     find_device(cfg.trainer.accelerator)
-    check_logger(cfg)
-    train = plain(stage.config(cfg)).get("train")
-    if train:
-        try:
-            make_recipe(train, store)
-        except ValueError as error:
-            raise ValueError(f"{stage.node}.{error}") from None
+    if train := plain(stage.config(cfg)).get("train"):
+        make_recipe(train, store, at=f"{stage.node}.train")
 
 
 def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tuple[Any, dict[str, Any]]:
@@ -102,29 +105,25 @@ def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tu
     return model, spec
 
 
-def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | None = None) -> Recipe:
+def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | None = None, at: str = "train") -> Recipe:
     """Turn a recipe's config into numbers; `epochs` become steps of this corpus. Raises ValueError naming an option."""
-    options = {field.name for field in fields(Recipe)} | {"data", "epochs"}
-    for name in sorted(train.keys() - options):
-        raise ValueError(f"train.{name} is no option; a recipe has {', '.join(sorted(options))}")
-    for name in NUMBERS:
-        value = train.get(name) or 0
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"train.{name}={value!r}; it must be a number")
-    if train.get("data") not in KINDS:
-        raise ValueError(f"train.data={train.get('data')!r}; allowed: {', '.join(KINDS)}")
+    own = {field.name for kind in (Budget, Recipe) for field in fields(kind)}
+    for name in sorted(train.keys() - own):
+        raise ValueError(f"{at}.{name} is no option; a recipe has {', '.join(sorted(own))}")
+    budget = make(Budget, {k: v for k, v in train.items() if k in {field.name for field in fields(Budget)}}, at)
     values = {k: v for k, v in train.items() if k not in ("data", "epochs")}
-    if values.get("steps") is None:
-        if not train.get("epochs"):
-            raise ValueError("train.steps and train.epochs are both empty; set one of them")
+    check(Recipe, {k: v for k, v in values.items() if k != "steps"}, at)
+    if budget.steps is None:
+        if budget.epochs is None:
+            raise ValueError(f"{at}.steps and {at}.epochs are both empty; set one of them")
         window = {k: train[k] for k in ("window", "legacy_windows") if k in train}
-        probe = MotionDataModule(store.path, kind=train["data"], batch_size=1, steps=1, **window)
+        probe = MotionDataModule(store.path, kind=budget.data, batch_size=1, steps=1, **window)
         per_epoch = len(probe.dataset("train")) // train["batch_size"]
-        values["steps"] = max(1, per_epoch) * train["epochs"]
+        values["steps"] = max(1, per_epoch) * budget.epochs
     if debug_steps:
         values |= {"steps": debug_steps, "validate_every": debug_steps, "checkpoint_every": debug_steps}
-    values |= {k: tuple(values[k] or ()) for k in ("milestones", "betas", "clip_each") if k in values}
-    recipe = Recipe(**values)
+    values |= {k: tuple(values[k]) for k in ("milestones", "betas", "clip_each") if k in values}
+    recipe = make(Recipe, values, at)
     return replace(recipe, validate_every=min(recipe.validate_every, recipe.steps))
 
 

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.generators import LatentModel
+from kinema.options import Classes, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.types import Latents, Losses, TextFeatures
 
@@ -18,7 +19,8 @@ HIDDEN = (512, 256, 128)
 class LengthEstimator(LatentModel):
     """Classify the number of latents from the pooled text (MARDM §6); class 0 is never predicted."""
 
-    def __init__(self, text_dim: int, classes: int = 50, downsample: int = 4, dropout: float = 0.2) -> None:
+    @checked
+    def __init__(self, text_dim: Size, classes: Classes = 50, downsample: Size = 4, dropout: OpenShare = 0.2) -> None:
         super().__init__()
         self.classes = classes
         self.downsample = downsample

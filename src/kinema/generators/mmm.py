@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -14,8 +15,21 @@ from kinema.decoding.token_unmasking import choice, unmask_tokens
 from kinema.generators.draws import StepDraws, share_of
 from kinema.generators.tokens.reader import CodebookReader
 from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
+from kinema.generators.tokens.words import WORDS
 from kinema.masking import lowest, masked_count, shrinking_counts
 from kinema.nn.mode import inference
+from kinema.options import (
+    Classes,
+    KeptShare,
+    NonNegative,
+    OneOf,
+    OpenShare,
+    OptionalDepth,
+    Options,
+    Size,
+    Steps,
+    checked,
+)
 from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
@@ -25,17 +39,11 @@ SPECIALS = 3  # END, PAD, MASK
 
 @buildable
 @dataclass(frozen=True)
-class MmmSampling:
+class MmmSampling(Options):
     """Choose how tokens are sampled: `steps` of unmasking at full length, `temperature` 0 for the likeliest codes."""
 
-    steps: int = 10
-    temperature: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
-        if self.temperature < 0:
-            raise ValueError(f"sampling.temperature is {self.temperature}; give 0 (the likeliest codes) or more")
+    steps: Steps = 10
+    temperature: NonNegative = 1.0
 
 
 @dataclass
@@ -79,29 +87,28 @@ class MMM(CodebookReader):
     then a share U(0.5, 1) of the positions is masked. Lengths are frames // `downsample`, at most `max_latents`.
     """
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
-        code_dim: int,
-        text_dim: int,
-        token_dim: int,
-        width: int = 1024,
-        heads: int = 16,
-        feedforward: int = 4096,
-        cross_layers: int = 2,
-        base_layers: int = 7,
-        head_layers: int = 9,
-        dropout: float = 0.1,
-        words: str = "real",
-        pkeep: float = 0.5,
-        max_latents: int = 49,
-        downsample: int = 4,
+        codebook_size: Classes,
+        code_dim: Size,
+        text_dim: Size,
+        token_dim: Size,
+        width: Size = 1024,
+        heads: Size = 16,
+        feedforward: Size = 4096,
+        cross_layers: OptionalDepth = 2,
+        base_layers: OptionalDepth = 7,
+        head_layers: OptionalDepth = 9,
+        dropout: OpenShare = 0.1,
+        words: Annotated[str, OneOf(WORDS)] = "real",
+        pkeep: KeptShare = 0.5,
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: MmmSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, code_dim=code_dim, max_latents=max_latents, downsample=downsample)
-        if not (pkeep == -1 or 0 <= pkeep <= 1):
-            raise ValueError(f"pkeep is {pkeep}; give a probability in [0, 1], or -1 for a random one per batch")
         self.pkeep = pkeep
         self.sampling = sampling or MmmSampling()
         self.mask_id = codebook_size + 2

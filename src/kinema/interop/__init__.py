@@ -24,6 +24,7 @@ from torch import nn
 
 from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop.checkpoint import read_checkpoint, unwrap
+from kinema.options import check
 from kinema.runs.parts import CONTRASTIVE, DECOMPOSITION, GENERATOR, LENGTH, MATCHING, TOKENIZER
 
 _BASE = ("t2m_transformer", "trans")
@@ -103,4 +104,5 @@ def _checked(kind: str, importer: Any, options: dict[str, Any]) -> dict[str, Any
     for parameter in parameters:
         if parameter.default is parameter.empty and parameter.name not in options:
             raise ValueError(f"{kind!r} needs the option {parameter.name!r}: {inspect.getdoc(importer)}")
+    check(importer, options, kind)
     return options

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from kinema.motion.skeleton import DIMS, Skeleton, get_skeleton
+from kinema.motion.skeleton import DIMS, SKELETONS, Skeleton, get_skeleton
 from kinema.motion.statistics import Statistics
+from kinema.options import OneOf, checked
 from kinema.registry import buildable
 from kinema.types import frame_mask
 
@@ -26,12 +29,14 @@ class Representation(nn.Module):
     mean: Float[Tensor, " d"]
     std: Float[Tensor, " d"]
 
-    def __init__(self, kind: str, skeleton: str, variant: str = "raw") -> None:
+    @checked
+    def __init__(
+        self,
+        kind: Annotated[str, OneOf(DIMS)],
+        skeleton: Annotated[str, OneOf(SKELETONS)],
+        variant: Annotated[str, OneOf(VARIANTS)] = "raw",
+    ) -> None:
         super().__init__()
-        if kind not in DIMS:
-            raise ValueError(f"unknown representation {kind!r}; choose one of {', '.join(DIMS)}")
-        if variant not in VARIANTS:
-            raise ValueError(f"unknown variant {variant!r}; choose one of {', '.join(VARIANTS)}")
         self.kind, self.variant, self.skeleton_name = kind, variant, skeleton
         self.register_buffer("mean", torch.full((self.width,), torch.nan))
         self.register_buffer("std", torch.full((self.width,), torch.nan))

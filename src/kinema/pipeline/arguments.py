@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
+from kinema.options import Count, check_value
 from kinema.text.frozen import check_texts
 from kinema.types import Motion
 
@@ -17,13 +19,16 @@ def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: i
         raise ValueError(f"got frames={frames} and seconds={seconds}; give one of them")
     if frames is None and seconds is None:
         return None
-    asked = _spread(frames if seconds is None else seconds, size)
-    counts = asked if seconds is None else [round(a * fps) for a in asked]
+    name, kind, given = ("frames", int, frames) if seconds is None else ("seconds", float, seconds)
+    asked: list[Any] = [
+        value.item() if isinstance(value, np.generic | Tensor) else value for value in _spread(given, size)
+    ]
+    for value in asked:
+        check_value(value, kind, name)
+    counts = asked if seconds is None else [round(value * fps) for value in asked]
     for count in counts:
-        if count != int(count):
-            raise ValueError(f"frames={count} is no whole number; give whole frames, or seconds=")
         check_length(count, maximum, fps)
-    return [int(count) for count in counts]
+    return counts
 
 
 def check_length(count: int, maximum: int, fps: float) -> None:
@@ -36,8 +41,7 @@ def check_length(count: int, maximum: int, fps: float) -> None:
 
 
 def batches(size: int, batch_size: int) -> Iterator[slice]:
-    if batch_size < 1:
-        raise ValueError(f"batch_size is {batch_size}; give at least 1")
+    check_value(batch_size, Count, "batch_size")
     return (slice(i, i + batch_size) for i in range(0, size, batch_size))
 
 

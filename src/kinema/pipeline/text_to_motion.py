@@ -20,6 +20,7 @@ from kinema.motion.body_parts import PARTS
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
+from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import batches, check_length, frame_counts, paired
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
@@ -149,7 +150,7 @@ class TextToMotion:
         own `seed` gives it again alone. Raises ValueError for empty texts, lengths out of range, unknown fields.
         """
         texts = check_texts([texts] if isinstance(texts, str) else list(texts))
-        options = self._sampling(sampling)
+        options = self.changed_sampling(sampling)
         seeds = request_seeds(seed, len(texts))
         counts = self._lengths(frames, seconds, len(texts))
         motions = []
@@ -178,7 +179,8 @@ class TextToMotion:
         latents are decoded at once. The motion may be longer than any clip of the training.
         """
         texts = check_texts(list(texts))
-        options, space = self._sampling(sampling), self.generator.space
+        check_value(transition, Count, "transition")
+        options, space = self.changed_sampling(sampling), self.generator.space
         most = self.max_frames // space.in_time("joining motions")
         # A transition draws its own numbers, not those of the part before it.
         seeds = request_seeds(seed, 2 * len(texts) - 1)
@@ -217,7 +219,7 @@ class TextToMotion:
         papers' tables use. Raises ValueError if neither is given.
         """
         motions, texts = paired(motions, texts)
-        options = self._sampling(sampling)
+        options = self.changed_sampling(sampling)
         self._check_sources(motions)
         if frames is None and parts is None:
             raise ValueError(f"nothing to regenerate: give frames, or parts= one of {', '.join(PARTS)}")
@@ -262,11 +264,13 @@ class TextToMotion:
         whole = (keep if keep.ndim == 2 else keep.all(-1)).cpu().numpy()
         return [replace(motion, kept=row[: len(motion.joints)]) for motion, row in zip(made, whole, strict=True)]
 
-    def _sampling(self, changes: dict[str, Any]) -> Any:
+    def changed_sampling(self, changes: Mapping[str, Any]) -> Any:
+        """Return the generator's sampling with other fields; raises ValueError for one that is unknown or wrong."""
         allowed = [f.name for f in fields(self.generator.sampling)]
         for name in changes:
             if name not in allowed:
                 raise ValueError(f"unknown sampling field {name!r}; allowed: {', '.join(allowed)}")
+        check(type(self.generator.sampling), changes, "sampling")
         return replace(self.generator.sampling, **changes)
 
     def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int] | None:

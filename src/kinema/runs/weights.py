@@ -50,7 +50,7 @@ def load(path: str | Path, device: torch.device | str = "cpu") -> tuple[nn.Modul
     # Initial values are drawn and then overwritten: the caller's random state must not notice.
     with torch.random.fork_rng(devices=[]):
         check_spec(meta["spec"], state, path)
-        module = build(meta["spec"])
+        module = build(meta["spec"], at=f"{path}: spec")
     try:
         module.load_state_dict(state)
     except RuntimeError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
+from kinema.options import Depth, Levels, NonNegative, OneOf, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
@@ -33,23 +34,24 @@ class AutoEncoder(MotionTokenizer):
 
     outputs = 1
 
+    @checked
     def __init__(
         self,
         representation: Representation,
         *,
-        width: int = 512,
-        latent_dim: int = 512,
-        depth: int = 3,
-        dilation_growth: int = 3,
-        down_levels: int = 2,
-        dropout: float = 0.2,
-        joint_weight: float = 1.0,
-        root_weight: float = 0.0,
-        error: str = "smooth_l1",
+        width: Size = 512,
+        latent_dim: Size = 512,
+        depth: Depth = 3,
+        dilation_growth: Size = 3,
+        down_levels: Levels = 2,
+        dropout: OpenShare = 0.2,
+        joint_weight: NonNegative = 1.0,
+        root_weight: NonNegative = 0.0,
+        error: Annotated[str, OneOf(ERRORS)] = "smooth_l1",
         mask_padding: bool = True,
     ) -> None:
         super().__init__()
-        self.error = get_error(error)
+        self.error = ERRORS[error]
         net = {"width": width, "levels": down_levels, "depth": depth, "dilation_growth": dilation_growth}
         self.representation = representation
         self.encoder = ConvEncoder(representation.width, self.outputs * latent_dim, **net, dropout=dropout)
@@ -115,13 +117,6 @@ class AutoEncoder(MotionTokenizer):
     def _padded(self, lengths: Int[Tensor, " b"], size: int) -> Int[Tensor, " b"] | None:
         """Return the lengths if something has to be masked."""
         return lengths if self.mask_padding and bool((lengths < size).any()) else None
-
-
-def get_error(name: str) -> Callable[..., Tensor]:
-    """Find a reconstruction error; raises ValueError naming those there are."""
-    if name not in ERRORS:
-        raise ValueError(f"error {name!r} is unknown; choose one of {', '.join(ERRORS)}")
-    return ERRORS[name]
 
 
 def require_frames(motion: MotionBatch, space: LatentSpace) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
 
 from kinema.motion.representation import Representation
+from kinema.options import Depth, Levels, NonNegative, OneOf, OpenShare, Size, checked
 from kinema.registry import buildable
-from kinema.tokenizers.autoencoder import AutoEncoder, mean_of_real
+from kinema.tokenizers.autoencoder import ERRORS, AutoEncoder, mean_of_real
 from kinema.tokenizers.posterior import PosteriorTokenizer, split, standard_noise
 from kinema.types import Latents, Losses, MotionBatch
 
@@ -21,21 +24,22 @@ class AutoEncoderKL(PosteriorTokenizer, AutoEncoder):
 
     outputs = 2
 
+    @checked
     def __init__(
         self,
         representation: Representation,
         *,
-        width: int = 512,
-        latent_dim: int = 512,
-        depth: int = 3,
-        dilation_growth: int = 3,
-        down_levels: int = 2,
-        dropout: float = 0.2,
-        joint_weight: float = 1.0,
-        root_weight: float = 0.0,
-        error: str = "smooth_l1",
+        width: Size = 512,
+        latent_dim: Size = 512,
+        depth: Depth = 3,
+        dilation_growth: Size = 3,
+        down_levels: Levels = 2,
+        dropout: OpenShare = 0.2,
+        joint_weight: NonNegative = 1.0,
+        root_weight: NonNegative = 0.0,
+        error: Annotated[str, OneOf(ERRORS)] = "smooth_l1",
         mask_padding: bool = True,
-        kl_weight: float = 1e-4,
+        kl_weight: NonNegative = 1e-4,
     ) -> None:
         super().__init__(
             representation,

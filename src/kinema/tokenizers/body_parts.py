@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
-from kinema.motion.skeleton import Skeleton
+from kinema.motion.skeleton import DIMS, SKELETONS, Skeleton
 from kinema.nn.conv import ConvEncoder
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock
+from kinema.options import Depth, Levels, OneOf, OpenShare, Size, checked
 from kinema.registry import buildable
 
 CONTACT_CHAINS = {"humanml3d": (3, 4), "kit": (0, 1)}
@@ -33,28 +35,27 @@ class BodyPartEncoder(nn.Module):
 
     mask: Bool[Tensor, "k k"]
 
+    @checked
     def __init__(
         self,
-        skeleton: str,
-        kind: str,
+        skeleton: Annotated[str, OneOf(SKELETONS)],
+        kind: Annotated[str, OneOf(DIMS)],
         *,
-        code_dim: int = 512,
-        width: int = 512,
-        down_levels: int = 2,
-        depth: int = 3,
-        dilation_growth: int = 3,
-        node_width: int = 32,
-        node_hidden: int = 512,
-        part_width: int = 128,
-        feedforward: int = 512,
-        layers: int = 2,
-        heads: int = 4,
-        dropout: float = 0.2,
+        code_dim: Size = 512,
+        width: Size = 512,
+        down_levels: Levels = 2,
+        depth: Depth = 3,
+        dilation_growth: Size = 3,
+        node_width: Size = 32,
+        node_hidden: Size = 512,
+        part_width: Size = 128,
+        feedforward: Size = 512,
+        layers: Depth = 2,
+        heads: Size = 4,
+        dropout: OpenShare = 0.2,
         root_scale: float = 1.0,
     ) -> None:
         super().__init__()
-        if layers < 1:
-            raise ValueError(f"layers={layers}; part tokens need at least 1 layer of attention to read their nodes")
         self.root_scale = root_scale
         read = Representation(kind, skeleton)
         self.skeleton, self.groups, self.input_dim = read.skeleton, read.groups, read.width

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows, largest
+from kinema.options import Classes, NonNegative, OneOf, Share, Size, checked
 from kinema.registry import buildable
 
 RESETS = ("always", "unused")
@@ -119,21 +120,18 @@ class EMACodebook(nn.Module):
     used: Bool[Tensor, " k"]
     counter: Int[Tensor, ""]
 
+    @checked
     def __init__(
         self,
-        codebook_size: int = 512,
-        code_dim: int = 512,
+        codebook_size: Classes = 512,
+        code_dim: Size = 512,
         *,
-        reset: str = "always",
-        decay: float = 0.99,
-        threshold: float = 1.0,
-        temperature: float = 0.0,
+        reset: Annotated[str, OneOf(RESETS)] = "always",
+        decay: Share = 0.99,
+        threshold: NonNegative = 1.0,
+        temperature: NonNegative = 0.0,
     ) -> None:
         super().__init__()
-        if reset not in RESETS:
-            raise ValueError(f"reset {reset!r} is unknown; choose one of {', '.join(RESETS)}")
-        if codebook_size < 1 or code_dim < 1:
-            raise ValueError(f"codebook_size={codebook_size}, code_dim={code_dim}; both must be at least 1")
         self.codebook_size, self.code_dim = codebook_size, code_dim
         self.reset, self.decay, self.threshold, self.temperature = reset, decay, threshold, temperature
         self.register_buffer("codebook", torch.zeros(codebook_size, code_dim))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from kinema.motion.representation import Representation
+from kinema.options import Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.autoencoder import require_frames
@@ -17,6 +18,7 @@ class Frames(MotionTokenizer):
 
     copies = True
 
+    @checked
     def __init__(self, representation: Representation) -> None:
         super().__init__()
         self.representation = representation
@@ -50,7 +52,8 @@ class FrameGroups(MotionTokenizer):
 
     copies = True
 
-    def __init__(self, representation: Representation, *, unit: int, latent_dim: int) -> None:
+    @checked
+    def __init__(self, representation: Representation, *, unit: Size, latent_dim: Size) -> None:
         super().__init__()
         if latent_dim != unit * representation.width:
             raise ValueError(

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
+from annotated_types import Interval, Len
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows
+from kinema.options import Classes, NonNegative, Share, Size, check_value, checked
 from kinema.registry import buildable
 from kinema.tokenizers.codebook import EMACodebook, Quantized, perplexity
 
 FEWEST = 3
 """Least number of levels: two lie unevenly about zero."""
+Level = Annotated[int, Interval(ge=FEWEST, le=2**16)]
 
 
 @buildable
@@ -29,13 +33,18 @@ class FiniteScalarQuantizer(nn.Module):
     quantizers = 1
     counts: Float[Tensor, " k"]
 
+    @checked
     def __init__(
-        self, levels: Sequence[int], code_dim: int = 512, *, decay: float = 0.99, threshold: float = 1.0
+        self,
+        levels: Annotated[Sequence[Level], Len(1)],
+        code_dim: Size = 512,
+        *,
+        decay: Share = 0.99,
+        threshold: NonNegative = 1.0,
     ) -> None:
         super().__init__()
         levels = list(levels)
-        if not levels or min(levels) < FEWEST:
-            raise ValueError(f"levels={levels}; give at least one number of levels, each at least {FEWEST}")
+        check_value(math.prod(levels), Classes, "the product of levels")
         try:
             from vector_quantize_pytorch import FSQ
         except ImportError as error:

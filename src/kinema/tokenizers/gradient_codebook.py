@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from kinema.nn.ranks import gather_rows
+from kinema.options import Classes, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers.codebook import Quantized, assign, look_up, perplexity
 
@@ -20,10 +21,9 @@ class GradientCodebook(nn.Module):
 
     quantizers = 1
 
-    def __init__(self, codebook_size: int = 512, code_dim: int = 512) -> None:
+    @checked
+    def __init__(self, codebook_size: Classes = 512, code_dim: Size = 512) -> None:
         super().__init__()
-        if codebook_size < 1 or code_dim < 1:
-            raise ValueError(f"codebook_size={codebook_size}, code_dim={code_dim}; both must be at least 1")
         self.codebook_size, self.code_dim = codebook_size, code_dim
         self.codebook = nn.Parameter(
             torch.empty(codebook_size, code_dim).uniform_(-1 / codebook_size, 1 / codebook_size)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
+from kinema.options import Classes, NonNegative, OneOf, Share, Size, checked
 from kinema.registry import buildable
-from kinema.tokenizers.codebook import CodebookDraws, EMACodebook, Quantized
+from kinema.tokenizers.codebook import RESETS, CodebookDraws, EMACodebook, Quantized
 
 
 @buildable
@@ -21,21 +23,20 @@ class ResidualQuantizer(nn.Module):
     as many times as layers are active. `commit`, `perplexity` and `dead_codes` are means over the active layers.
     """
 
+    @checked
     def __init__(
         self,
-        codebook_size: int = 512,
-        code_dim: int = 512,
+        codebook_size: Classes = 512,
+        code_dim: Size = 512,
         *,
-        quantizers: int = 6,
-        quantizer_dropout: float = 0.2,
-        temperature: float = 0.5,
-        reset: str = "always",
-        decay: float = 0.99,
-        threshold: float = 1.0,
+        quantizers: Size = 6,
+        quantizer_dropout: Share = 0.2,
+        temperature: NonNegative = 0.5,
+        reset: Annotated[str, OneOf(RESETS)] = "always",
+        decay: Share = 0.99,
+        threshold: NonNegative = 1.0,
     ) -> None:
         super().__init__()
-        if quantizers < 1:
-            raise ValueError(f"quantizers={quantizers}; a residual quantiser has one layer at least")
         self.codebook_size, self.code_dim, self.quantizers = codebook_size, code_dim, quantizers
         self.quantizer_dropout = quantizer_dropout
         self.layers = nn.ModuleList(

@@ -11,6 +11,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import largest
 from kinema.nn.skip import SkipTransformer
+from kinema.options import Depth, NonNegative, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers.posterior import PosteriorTokenizer, split, standard_noise
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
@@ -25,20 +26,21 @@ class VAE(PosteriorTokenizer):
     long training moves it. `positions` bounds the frames: the table of the encoder holds two tokens per latent too.
     """
 
+    @checked
     def __init__(
         self,
         representation: Representation,
         *,
-        latents: int = 1,
-        width: int = 256,
-        feedforward: int = 1024,
-        layers: int = 9,
-        heads: int = 4,
-        dropout: float = 0.1,
-        joint_weight: float = 1.0,
-        kl_weight: float = 1e-4,
+        latents: Size = 1,
+        width: Size = 256,
+        feedforward: Size = 1024,
+        layers: Depth = 9,
+        heads: Size = 4,
+        dropout: OpenShare = 0.1,
+        joint_weight: NonNegative = 1.0,
+        kl_weight: NonNegative = 1e-4,
         log_variance: float = 0.0,
-        positions: int = 500,
+        positions: Size = 500,
     ) -> None:
         super().__init__()
         self.representation = representation

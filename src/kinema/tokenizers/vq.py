@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from kinema.motion.representation import Representation
 from kinema.nn.conv import ConvDecoder, ConvEncoder
+from kinema.options import Classes, Depth, Levels, NonNegative, OneOf, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
-from kinema.tokenizers.autoencoder import ROOT, get_error, mean_of_real, require_frames
+from kinema.tokenizers.autoencoder import ERRORS, ROOT, mean_of_real, require_frames
 from kinema.tokenizers.codebook import EMACodebook, Quantizer
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
@@ -28,28 +31,29 @@ class VQVAE(MotionTokenizer):
     `mask_padding` are those of AutoEncoder.
     """
 
+    @checked
     def __init__(
         self,
         representation: Representation,
         *,
-        codebook_size: int = 512,
-        code_dim: int = 512,
+        codebook_size: Classes = 512,
+        code_dim: Size = 512,
         quantizer: Quantizer | None = None,
         encoder: nn.Module | None = None,
-        width: int = 512,
-        depth: int = 3,
-        dilation_growth: int = 3,
-        down_levels: int = 2,
-        dropout: float = 0.0,
-        auxiliary: str = "joints",
-        joint_weight: float = 0.5,
-        commit_weight: float = 0.02,
-        root_weight: float = 0.0,
-        error: str = "smooth_l1",
+        width: Size = 512,
+        depth: Depth = 3,
+        dilation_growth: Size = 3,
+        down_levels: Levels = 2,
+        dropout: OpenShare = 0.0,
+        auxiliary: Annotated[str, OneOf(AUXILIARIES)] = "joints",
+        joint_weight: NonNegative = 0.5,
+        commit_weight: NonNegative = 0.02,
+        root_weight: NonNegative = 0.0,
+        error: Annotated[str, OneOf(ERRORS)] = "smooth_l1",
         mask_padding: bool = True,
     ) -> None:
         super().__init__()
-        self.error = get_error(error)
+        self.error = ERRORS[error]
         quantizer = quantizer or EMACodebook(codebook_size, code_dim)
         check(representation, quantizer, codebook_size, code_dim, auxiliary)
         net = {"width": width, "levels": down_levels, "depth": depth, "dilation_growth": dilation_growth}
@@ -144,7 +148,7 @@ def check(
     representation: Representation, quantizer: Quantizer, codebook_size: int, code_dim: int, auxiliary: str
 ) -> None:
     """Raise ValueError for columns that aren't there, or a quantiser of other sizes than the tokenizer's."""
-    if auxiliary not in AUXILIARIES or auxiliary not in representation.groups:
+    if auxiliary not in representation.groups:
         raise ValueError(
             f"auxiliary={auxiliary!r}: choose one of {', '.join(a for a in AUXILIARIES if a in representation.groups)}"
         )

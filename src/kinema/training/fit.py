@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,9 +14,9 @@ from lightning.pytorch import Callback, LightningDataModule, Trainer
 from lightning.pytorch.callbacks import TQDMProgressBar
 from torch import Tensor
 
-from kinema.devices import ACCELERATORS
 from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord, Selection
 from kinema.training.checkpoint import AtomicCheckpointIO
+from kinema.training.machine import Machine
 from kinema.training.modules import StageModule
 from kinema.training.pace import Pace
 from kinema.training.progress import StepProgress
@@ -35,33 +35,6 @@ HARMLESS = (
 """Warnings of Lightning that say nothing of our runs: data come from a map, and batches follow from the step."""
 
 BARS = {"rich": StepProgress, "tqdm": TQDMProgressBar}
-
-
-@dataclass(frozen=True)
-class Machine:
-    """Say where and how to run: nothing of it changes what is computed (beyond rounding)."""
-
-    accelerator: str = "auto"
-    devices: int | str | list[int] = 1
-    num_nodes: int = 1
-    strategy: str = "auto"
-    precision: str = "32-true"
-    compile: bool = False
-    threads: int | None = None
-    progress: str = "rich"
-    log_every: int = 50
-    extra: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.accelerator not in ACCELERATORS:
-            raise ValueError(f"trainer.accelerator={self.accelerator!r}; allowed: {', '.join(ACCELERATORS)}")
-        if self.progress not in (*BARS, "none"):
-            raise ValueError(f"trainer.progress={self.progress!r}; allowed: {', '.join(BARS)}, none")
-
-    def limit_threads(self) -> None:
-        """Use this many CPU threads from now on (None: as many as torch takes)."""
-        if self.threads is not None:
-            torch.set_num_threads(self.threads)
 
 
 @dataclass(frozen=True)

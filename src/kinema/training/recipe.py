@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from annotated_types import Len
 from torch import nn
+
+from kinema.options import Count, NonNegative, Number, OneOf, OpenShare, Options, Positive, Size
+
+ORIGINS = ("start", "warmup_end")
+DECAYS = ("milestones", "cosine")
+SELECTIONS = ("last", "best", "fid")
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(Options):
     """Hold the numbers of one training stage; `steps` counts optimiser steps.
 
     Learning rate at step k (from 0), as the published loops have it (MARDM §3-§4): warm-up lr*(k+2)/(warmup+1) that
@@ -20,38 +28,26 @@ class Recipe:
     FID on the validation split (`fid`, a generator's alone).
     """
 
-    steps: int
-    batch_size: int
-    lr: float = 2e-4
-    betas: Sequence[float] = (0.9, 0.99)
-    weight_decay: float = 0.0
-    warmup: int = 0
-    milestones: Sequence[int] = ()
-    milestones_from: str = "start"
-    gamma: float = 0.1
-    decay: str = "milestones"
-    ema: float | None = None
+    steps: Count
+    batch_size: Count
+    lr: Positive = 2e-4
+    betas: Annotated[Sequence[OpenShare], Len(2, 2)] = (0.9, 0.99)
+    weight_decay: NonNegative = 0.0
+    warmup: Number = 0
+    milestones: Sequence[Number] = ()
+    milestones_from: Annotated[str, OneOf(ORIGINS)] = "start"
+    gamma: NonNegative = 0.1
+    decay: Annotated[str, OneOf(DECAYS)] = "milestones"
+    ema: OpenShare | None = None
     ema_warmup: bool = True
-    clip: float | None = None
+    clip: Positive | None = None
     clip_each: Sequence[str] = ()
-    select: str = "last"
-    validate_every: int = 1000
-    checkpoint_every: int = 500
-    val_batches: int | None = None
-    window: int = 64
+    select: Annotated[str, OneOf(SELECTIONS)] = "last"
+    validate_every: Count = 1000
+    checkpoint_every: Count = 500
+    val_batches: Count | None = None
+    window: Size = 64
     legacy_windows: bool = False
-
-    def __post_init__(self) -> None:
-        for name, allowed in (
-            ("milestones_from", ("start", "warmup_end")),
-            ("decay", ("milestones", "cosine")),
-            ("select", ("last", "best", "fid")),
-        ):
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"train.{name}={getattr(self, name)!r}; allowed: {', '.join(allowed)}")
-        for name in ("steps", "batch_size", "validate_every", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"train.{name}={getattr(self, name)}; it must be at least 1")
 
     def factor(self, step: int) -> float:
         """Return the factor on the learning rate at an optimiser step (from 0)."""

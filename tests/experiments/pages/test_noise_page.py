@@ -46,11 +46,11 @@ def test_every_point_is_an_evaluation_of_its_own(micro):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("perturb.space=mine", "perturb.space='mine' is unknown; allowed: evaluator, corpus"),
-        ("perturb.dims=all", "perturb.dims='all' is unknown; allowed: essential, redundant"),
-        ("perturb.how=scale", "perturb.how='scale' is unknown; allowed: add, replace"),
-        ("perturb.level=-1", "perturb.level=-1; it must be a number of at least 0"),
-        ("perturb.level=much", "perturb.level='much'; it must be a number"),
+        ("perturb.space=mine", "perturb.space=mine: must be one of evaluator, corpus"),
+        ("perturb.dims=all", "perturb.dims=all: must be one of essential, redundant"),
+        ("perturb.how=scale", "perturb.how=scale: must be one of add, replace"),
+        ("perturb.level=-1", "perturb.level=-1: must be a finite number >= 0"),
+        ("perturb.level=much", "perturb.level=much: must be a finite number"),
     ],
 )
 def test_a_wrong_option_is_named(micro, override, message):

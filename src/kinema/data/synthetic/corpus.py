@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval, Len
 
 from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Catalog, Clip
@@ -16,13 +18,15 @@ from kinema.data.synthetic.plan import ACTIONS, LONGEST, Action, Plan
 from kinema.data.synthetic.styles import STYLES, apply, enliven
 from kinema.data.synthetic.tracks import Tracks
 from kinema.data.synthetic.wording import tell
-from kinema.motion.skeleton import get_skeleton
+from kinema.motion.skeleton import SKELETONS, get_skeleton
+from kinema.options import OneOf, Seed, Share
 from kinema.seeds import stream
 
 GOLDEN = (np.sqrt(5) - 1) / 2
 SEQUENCES = 0.2
 """Share of clips that show two actions, one after the other."""
 CAPTIONS = 3
+Clips = Annotated[int, Interval(ge=1, le=10**6)]
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ def synthetic_joints(seed: int, index: int, skeleton: str) -> np.ndarray:
     return (pose(body, tracks) @ turned.T + place).astype(np.float32)
 
 
-def split_of(index: int, splits: tuple[float, float, float]) -> str:
+def split_of(index: int, splits: Sequence[float]) -> str:
     """Return a clip's split: the golden ratio spreads them so that any number of clips has about the wanted shares."""
     return SPLITS[int(np.searchsorted(np.cumsum(splits)[:2], ((index + 1) * GOLDEN) % 1.0, side="right"))]
 
@@ -105,7 +109,7 @@ def synthetic_clips(
     size: int = 512,
     seed: int = 0,
     skeleton: str = "humanml3d",
-    splits: tuple[float, float, float] = (0.8, 0.1, 0.1),
+    splits: Sequence[float] = (0.8, 0.1, 0.1),
 ) -> Iterator[Clip]:
     """Generate a corpus of moving, described people, split by split; clip i depends on (seed, i) only.
 
@@ -132,10 +136,10 @@ def synthetic_clips(
 
 def synthetic_catalog(
     *,
-    size: int = 512,
-    seed: int = 0,
-    skeleton: str = "humanml3d",
-    splits: tuple[float, float, float] = (0.8, 0.1, 0.1),
+    size: Clips = 512,
+    seed: Seed = 0,
+    skeleton: Annotated[str, OneOf(SKELETONS)] = "humanml3d",
+    splits: Annotated[Sequence[Share], Len(3, 3)] = (0.8, 0.1, 0.1),
 ) -> Catalog:
     """Generate a corpus as a catalog, the form that `prepare` reads."""
     return Catalog(list(synthetic_clips(size=size, seed=seed, skeleton=skeleton, splits=splits)))

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from kinema.evaluation.encoders.base import TextMotionEvaluator, caption_keys, false_negatives, symmetric_cross_entropy
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import gather
+from kinema.options import Classes, Depth, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.types import Caption, Losses, MotionBatch
 
@@ -75,20 +76,21 @@ class ContrastiveEvaluator(TextMotionEvaluator):
     token_embedding: Float[Tensor, "v k"] | None
     token_positions: Float[Tensor, "l k"] | None
 
+    @checked
     def __init__(
         self,
         representation: Representation,
         *,
-        token_width: int = 512,
-        width: int = 512,
-        layers: int = 8,
-        heads: int = 8,
-        feedforward: int = 1024,
-        dropout: float = 0.2,
-        embedding: int = 512,
+        token_width: Size = 512,
+        width: Size = 512,
+        layers: Depth = 8,
+        heads: Size = 8,
+        feedforward: Size = 1024,
+        dropout: OpenShare = 0.2,
+        embedding: Size = 512,
         mask_duplicates: bool = False,
-        vocabulary: int | None = None,
-        context: int = 77,
+        vocabulary: Classes | None = None,
+        context: Size = 77,
     ) -> None:
         super().__init__(representation, {})
         self.mask_duplicates = mask_duplicates

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
@@ -13,12 +14,16 @@ from kinema.evaluation.encoders.base import TextMotionEvaluator, caption_keys, f
 from kinema.evaluation.encoders.t2m_networks import MovementDecoder, MovementEncoder, SequenceEncoder, WordEncoder
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import gather
+from kinema.options import NonNegative, OneOf, Positive, Size, checked
 from kinema.registry import buildable
 from kinema.types import Caption, Losses, MotionBatch
 
 UNIT = 4
 """Frames per movement code."""
 CONTACTS = 4
+SHIFTS = ("nonzero", "legacy")
+PADDINGS = ("masked", "legacy")
+OBJECTIVES = ("margin", "infonce")
 
 
 @buildable
@@ -29,8 +34,9 @@ class DecompositionAutoencoder(nn.Module):
     keeps them.
     """
 
+    @checked
     def __init__(
-        self, representation: Representation, *, width: int = 512, latent_dim: int = 512, drop_contacts: bool = False
+        self, representation: Representation, *, width: Size = 512, latent_dim: Size = 512, drop_contacts: bool = False
     ) -> None:
         super().__init__()
         self.representation = representation
@@ -62,27 +68,25 @@ class MatchingEvaluator(TextMotionEvaluator):
     the whole batch by squared distance over `temperature`, leaving out negatives whose caption says the same.
     """
 
+    @checked
     def __init__(
         self,
         representation: Representation,
         *,
-        word_width: int,
-        movement_width: int = 512,
-        movement_dim: int = 512,
-        motion_hidden: int = 1024,
-        text_hidden: int = 512,
-        embedding: int = 512,
-        margin: float = 10.0,
-        negative_shift: str = "nonzero",
-        padding: str = "masked",
+        word_width: Size,
+        movement_width: Size = 512,
+        movement_dim: Size = 512,
+        motion_hidden: Size = 1024,
+        text_hidden: Size = 512,
+        embedding: Size = 512,
+        margin: NonNegative = 10.0,
+        negative_shift: Annotated[str, OneOf(SHIFTS)] = "nonzero",
+        padding: Annotated[str, OneOf(PADDINGS)] = "masked",
         drop_contacts: bool = False,
-        objective: str = "margin",
-        temperature: float = 10.0,
-        max_frames: int = 196,
+        objective: Annotated[str, OneOf(OBJECTIVES)] = "margin",
+        temperature: Positive = 10.0,
+        max_frames: Size = 196,
     ) -> None:
-        _require("negative_shift", negative_shift, ("nonzero", "legacy"))
-        _require("padding", padding, ("masked", "legacy"))
-        _require("objective", objective, ("margin", "infonce"))
         super().__init__(representation, {"padding": padding, "drop_contacts": drop_contacts, "max_frames": max_frames})
         self.padding, self.drop_contacts, self.max_frames = padding, drop_contacts, max_frames
         self.margin, self.negative_shift = margin, negative_shift
@@ -202,8 +206,3 @@ def _inputs(representation: Representation, drop_contacts: bool) -> int:
             "columns hold no contacts; set drop_contacts=False"
         )
     return representation.width - (CONTACTS if drop_contacts else 0)
-
-
-def _require(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise ValueError(f"{name}={value!r}; allowed: {', '.join(allowed)}")

@@ -16,7 +16,7 @@ from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.runs.console import console
 from kinema.runs.versions import versions
-from kinema.training.fit import Machine
+from kinema.training.machine import Machine
 
 
 def carry_out(page: dict[str, Any], request: Request) -> list[Path]:

@@ -23,7 +23,7 @@ from kinema.experiments.request import Request
 from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.versions import versions
-from kinema.training.fit import Machine
+from kinema.training.machine import Machine
 from kinema.types import MotionBatch
 
 if TYPE_CHECKING:

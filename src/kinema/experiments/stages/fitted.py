@@ -60,7 +60,7 @@ class FittedStage(Stage):
     def sketch(self, cfg: DictConfig) -> Any:
         """Build the model without memory, to compare it with others before any of them is made."""
         with torch.device("meta"):
-            return build(self.spec(cfg))
+            return build(self.spec(cfg), at=f"{self.node}.model")
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
         """Check the options of model and recipe, and that there are captions for a recipe that reads them."""

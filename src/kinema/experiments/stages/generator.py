@@ -14,6 +14,7 @@ from kinema.experiments.instantiate import read_model
 from kinema.experiments.stages.base import Stage, asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.experiments.stages.matching import MatchingStage
+from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
 
@@ -39,6 +40,11 @@ class GeneratorStage(ConditionedStage):
     def spec(self, cfg: DictConfig) -> dict[str, Any]:
         """Return the model's spec; it holds the sampling that its users get by default."""
         return {**super().spec(cfg), "sampling": plain(self.config(cfg).sampling)}
+
+    def check(self, cfg: DictConfig, store: PackedStore) -> None:
+        """Check the sampling under its own key, too."""
+        build(plain(self.config(cfg).sampling), at=f"{self.node}.sampling")
+        super().check(cfg, store)
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run that `run=` names."""

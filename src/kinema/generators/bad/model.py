@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -17,10 +17,12 @@ from kinema.generators.bad.training import BadDraws
 from kinema.generators.draws import share_of
 from kinema.generators.tokens.reader import CodebookReader
 from kinema.generators.tokens.transformer import TokenTransformer, code_losses, with_end
+from kinema.generators.tokens.words import WORDS
 from kinema.masking import DIRECTIONS, hybrid_mask, lowest, masked_count, official_inference_mask, ranks
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.mode import inference
 from kinema.nn.transformer import initialize
+from kinema.options import Classes, OneOf, OpenShare, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
@@ -38,36 +40,32 @@ class BAD(CodebookReader):
     `max_latents`.
     """
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
-        code_dim: int,
-        text_dim: int,
-        token_dim: int,
-        width: int = 1024,
-        heads: int = 16,
-        feedforward: int = 4096,
-        cross_layers: int = 2,
-        base_layers: int = 7,
-        head_layers: int = 9,
-        dropout: float = 0.1,
-        words: str = "real",
+        codebook_size: Classes,
+        code_dim: Size,
+        text_dim: Size,
+        token_dim: Size,
+        width: Size = 1024,
+        heads: Size = 16,
+        feedforward: Size = 4096,
+        cross_layers: OptionalDepth = 2,
+        base_layers: OptionalDepth = 7,
+        head_layers: OptionalDepth = 9,
+        dropout: OpenShare = 0.1,
+        words: Annotated[str, OneOf(WORDS)] = "real",
         time_token: bool = True,
-        direction: str = "ge",
+        direction: Annotated[str, OneOf(DIRECTIONS)] = "ge",
         unmasked_see_masks: bool = False,
-        max_replaced: float = 0.4,
-        low_mask_share: float = 0.1,
-        max_latents: int = 49,
-        downsample: int = 4,
+        max_replaced: Share = 0.4,
+        low_mask_share: Share = 0.1,
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: BadSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, code_dim=code_dim, max_latents=max_latents, downsample=downsample)
-        if direction not in DIRECTIONS:
-            raise ValueError(f"direction {direction!r} is unknown; choose one of {', '.join(DIRECTIONS)}")
-        for name, share in (("max_replaced", max_replaced), ("low_mask_share", low_mask_share)):
-            if not 0 <= share <= 1:
-                raise ValueError(f"{name} is {share}; give a share in [0, 1]")
         self.sampling = sampling or BadSampling()
         self.first_mask = codebook_size + 2
         self.conditions = 1 + time_token

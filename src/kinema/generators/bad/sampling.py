@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -11,6 +12,7 @@ from torch import Tensor
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.generators.tokens.request import TokenRequest
 from kinema.masking import SLOTS, paper_counts, ranks, shrinking_counts
+from kinema.options import NonNegative, OneOf, Options, Steps
 from kinema.registry import buildable
 
 SAMPLERS = ("oaas", "cbs", "rs")
@@ -22,7 +24,7 @@ RANDOM_SAMPLING = 1
 
 @buildable
 @dataclass(frozen=True)
-class BadSampling:
+class BadSampling(Options):
     """Choose how tokens are sampled (BAD §4).
 
     sampler="oaas" (order-agnostic autoregressive) keeps tokens in their permutation's order, "cbs" the most confident
@@ -33,28 +35,20 @@ class BadSampling:
     stop of a batch of one.
     """
 
-    sampler: str = "oaas"
-    steps: int = 10
-    temperature: float | None = None
-    orders: str = "random"
-    schedule: str = "shrinking"
+    sampler: Annotated[str, OneOf(SAMPLERS)] = "oaas"
+    steps: Steps = 10
+    temperature: NonNegative | None = None
+    orders: Annotated[str, OneOf(ORDERS)] = "random"
+    schedule: Annotated[str, OneOf(SCHEDULES)] = "shrinking"
     official_inference_mask: bool = False
 
     def __post_init__(self) -> None:
-        for name, allowed in (("sampler", SAMPLERS), ("orders", ORDERS), ("schedule", SCHEDULES)):
-            if getattr(self, name) not in allowed:
-                raise ValueError(
-                    f"sampling.{name} {getattr(self, name)!r} is unknown; choose one of {', '.join(allowed)}"
-                )
+        super().__post_init__()
         if self.official_inference_mask and self.schedule != "shrinking":
             raise ValueError(
                 f"sampling.schedule {self.schedule!r} is not what the published samplers do; set "
                 "official_inference_mask=false, or schedule=shrinking"
             )
-        if self.steps < 1:
-            raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
-        if self.temperature is not None and self.temperature < 0:
-            raise ValueError(f"sampling.temperature is {self.temperature}; give 0 (the likeliest codes) or more")
 
     @property
     def effective_temperature(self) -> float:

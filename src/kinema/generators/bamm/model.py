@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
@@ -16,7 +18,8 @@ from kinema.generators.tokens.residual import ResidualSampling
 from kinema.generators.tokens.targets import per_sample, targets
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
-from kinema.nn.transformer import TransformerBlock, initialize
+from kinema.nn.transformer import NORMS, TransformerBlock, initialize
+from kinema.options import Classes, Depth, OneOf, OpenShare, Share, Size, checked
 from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
@@ -42,21 +45,22 @@ class BAMM(Slots):
 
     predicts_length = True
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
-        code_dim: int,
-        text_dim: int,
-        width: int = 384,
-        feedforward: int = 1024,
-        layers: int = 8,
-        heads: int = 6,
-        dropout: float = 0.2,
-        condition_drop: float = 0.1,
-        norm: str = "post",
-        max_latents: int = 49,
-        downsample: int = 4,
+        codebook_size: Classes,
+        code_dim: Size,
+        text_dim: Size,
+        width: Size = 384,
+        feedforward: Size = 1024,
+        layers: Depth = 8,
+        heads: Size = 6,
+        dropout: OpenShare = 0.2,
+        condition_drop: Share = 0.1,
+        norm: Annotated[str, OneOf(NORMS)] = "post",
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: BammSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)

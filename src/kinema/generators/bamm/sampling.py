@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -12,12 +13,12 @@ from torch.nn import functional as F
 
 from kinema.decoding.autoregressive import decode_left_to_right
 from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
-from kinema.generators.tokens.choices import check_draw
 from kinema.generators.tokens.encoder import TokenEncoder
 from kinema.generators.tokens.generator import TokenGenerator
 from kinema.generators.tokens.targets import targets
 from kinema.masking import lowest, masked_count
 from kinema.nn.attention import KeyValueCache
+from kinema.options import NonNegative, OneOf, OpenShare, Options, Steps
 from kinema.registry import buildable
 from kinema.types import frame_mask
 
@@ -31,7 +32,7 @@ Rows = Callable[[int, Int[Tensor, "b n"]], Float[Tensor, "b k"]]
 
 @buildable
 @dataclass(frozen=True)
-class BammSampling:
+class BammSampling(Options):
     """Choose how codes are sampled.
 
     The first of `iterations` goes from left to right under `guidance`; each further one generates half of the codes
@@ -43,24 +44,16 @@ class BammSampling:
     the end), and edits ignore their text.
     """
 
-    guidance: float = 4.0
-    second_guidance: float = 3.0
-    iterations: int = 2
-    temperature: float = 1.0
-    remask: str = "confidence"
-    residual_guidance: float = 6.0
-    residual_temperature: float = 1.0
-    residual_top_k: float = 0.9
+    guidance: NonNegative = 4.0
+    second_guidance: NonNegative = 3.0
+    iterations: Steps = 2
+    temperature: NonNegative = 1.0
+    remask: Annotated[str, OneOf(REMASKS)] = "confidence"
+    residual_guidance: NonNegative = 6.0
+    residual_temperature: NonNegative = 1.0
+    residual_top_k: OpenShare = 0.9
     residual_padding: bool = False
     official_inference: bool = False
-
-    def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise ValueError(f"sampling.iterations is {self.iterations}; give at least 1")
-        if self.remask not in REMASKS:
-            raise ValueError(f"sampling.remask {self.remask!r} is unknown; choose one of {', '.join(REMASKS)}")
-        check_draw("", self.temperature, 0.0)
-        check_draw("residual_", self.residual_temperature, self.residual_top_k)
 
     def draws(self, seeds: Int[Tensor, " b"]) -> TokenDraws:
         """Make what draws the codes of these seeds."""

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from annotated_types import Len
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
+from kinema.diffusion.choices import Solver, SolverSteps
 from kinema.diffusion.guidance import Guidance
 from kinema.generators.values import check_known
+from kinema.options import NonNegative, Options, Share
 from kinema.registry import buildable
 from kinema.types import Known
 
 
 @dataclass(frozen=True)
-class DiffusionSampling:
+class DiffusionSampling(Options):
     """Choose how whole sequences are sampled.
 
     `guidance` extrapolates from no text (0) over the text (1): inside `guidance_interval`, shares of the way from noise
@@ -24,14 +29,15 @@ class DiffusionSampling:
     diffusion process samples (None: its defaults), `temperature` scales the noise of its steps.
     """
 
-    guidance: float = 1.0
-    guidance_interval: tuple[float, float] = (0.0, 1.0)
+    guidance: NonNegative = 1.0
+    guidance_interval: Annotated[Sequence[Share], Len(2, 2)] = (0.0, 1.0)
     guidance_growing: bool = False
-    solver: str | None = None
-    solver_steps: int | str | None = None
-    temperature: float = 1.0
+    solver: Solver | None = None
+    solver_steps: SolverSteps | None = None
+    temperature: NonNegative = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.weights()  # refuses a wrong interval
 
     def weights(self) -> Guidance:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -16,12 +17,13 @@ from kinema.generators.gpt.sampling import GptSampling
 from kinema.generators.gpt.training import GptDraws, corrupt
 from kinema.generators.tokens.generator import TokenGenerator
 from kinema.generators.tokens.targets import per_sample, targets
-from kinema.generators.tokens.words import check_words, visible_words
+from kinema.generators.tokens.words import WORDS, visible_words
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
 from kinema.nn.transformer import TransformerBlock, initialize, run
+from kinema.options import Classes, Depth, KeptShare, OneOf, OpenShare, OptionalDepth, Size, checked
 from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
@@ -45,32 +47,31 @@ class T2MGPT(TokenGenerator):
 
     predicts_length = True
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
-        text_dim: int,
-        token_dim: int | None = None,
-        width: int = 1024,
-        feedforward: int = 4096,
-        layers: int = 18,
-        cross_layers: int = 0,
-        heads: int = 16,
-        dropout: float = 0.1,
-        pkeep: float = 0.5,
-        words: str = "real",
-        max_latents: int = 49,
-        downsample: int = 4,
+        codebook_size: Classes,
+        text_dim: Size,
+        token_dim: Size | None = None,
+        width: Size = 1024,
+        feedforward: Size = 4096,
+        layers: Depth = 18,
+        cross_layers: OptionalDepth = 0,
+        heads: Size = 16,
+        dropout: OpenShare = 0.1,
+        pkeep: KeptShare = 0.5,
+        words: Annotated[str, OneOf(WORDS)] = "real",
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: GptSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
-        if pkeep != -1 and not 0 <= pkeep <= 1:
-            raise ValueError(f"pkeep is {pkeep}; give a share in [0, 1], or -1 for a random one per batch")
         if cross_layers and token_dim is None:
             raise ValueError(f"cross_layers={cross_layers} need token_dim, the width of the text's word features")
         self.end, self.pad = codebook_size, codebook_size + 1
         self.pkeep = pkeep
-        self.words = check_words(words)
+        self.words = words
         self.sampling = sampling or GptSampling()
         self.token_embedding = nn.Embedding(codebook_size + 2, width)
         self.text_projection = nn.Linear(text_dim, width)

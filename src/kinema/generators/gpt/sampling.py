@@ -9,12 +9,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from kinema.decoding.draws import Greedy, SeededDraws, TokenDraws
+from kinema.options import Count, FullShare, NonNegative, Options
 from kinema.registry import buildable
 
 
 @buildable
 @dataclass(frozen=True)
-class GptSampling:
+class GptSampling(Options):
     """Choose how tokens are sampled.
 
     `temperature` 0 takes the likeliest token (greedy decoding, by which the published T2M-GPT is selected). `top_k`
@@ -22,18 +23,10 @@ class GptSampling:
     keeps the keys and values of earlier positions: the same tokens, less work.
     """
 
-    temperature: float = 1.0
-    top_k: int | None = None
-    top_p: float | None = None
+    temperature: NonNegative = 1.0
+    top_k: Count | None = None
+    top_p: FullShare | None = None
     cache: bool = True
-
-    def __post_init__(self) -> None:
-        if self.temperature < 0:
-            raise ValueError(f"sampling.temperature is {self.temperature}; give 0 (greedy) or more")
-        if self.top_k is not None and self.top_k < 1:
-            raise ValueError(f"sampling.top_k is {self.top_k}; give at least 1, or None for all")
-        if self.top_p is not None and not 0 < self.top_p <= 1:
-            raise ValueError(f"sampling.top_p is {self.top_p}; give a share in (0, 1], or None for all")
 
     @property
     def greedy(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -24,6 +25,7 @@ from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.modulation import AdaLNBlock
 from kinema.nn.ranks import mean_over_ranks
+from kinema.options import Depth, OneOf, OpenShare, Share, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
@@ -42,39 +44,31 @@ class MARDM(Generator):
     latent_min: Float[Tensor, " c"]
     latent_max: Float[Tensor, " c"]
 
+    @checked
     def __init__(
         self,
         *,
-        latent_dim: int,
-        text_dim: int,
+        latent_dim: Size,
+        text_dim: Size,
         process: DDPM | Flow,
-        width: int = 1024,
-        feedforward: int = 4096,
-        layers: int = 1,
-        heads: int = 16,
-        dropout: float = 0.2,
-        condition_drop: float = 0.1,
-        mlp_width: int = 1792,
-        mlp_depth: int = 16,
-        batch_multiplier: int = 4,
-        max_latents: int = 49,
-        downsample: int = 4,
-        mask_length: str = "padded",
-        mask_ratio: str = "cosine",
-        noise_share: float = 0.1,
-        mask_share: float = 0.88,
+        width: Size = 1024,
+        feedforward: Size = 4096,
+        layers: Depth = 1,
+        heads: Size = 16,
+        dropout: OpenShare = 0.2,
+        condition_drop: Share = 0.1,
+        mlp_width: Size = 1792,
+        mlp_depth: Depth = 16,
+        batch_multiplier: Size = 4,
+        max_latents: Size = 49,
+        downsample: Size = 4,
+        mask_length: Annotated[str, OneOf(MASK_LENGTHS)] = "padded",
+        mask_ratio: Annotated[str, OneOf(MASK_RATIOS)] = "cosine",
+        noise_share: Share = 0.1,
+        mask_share: Share = 0.88,
         sampling: MarSampling | None = None,
     ) -> None:
         super().__init__()
-        for name, chosen, allowed in (
-            ("mask_length", mask_length, MASK_LENGTHS),
-            ("mask_ratio", mask_ratio, MASK_RATIOS),
-        ):
-            if chosen not in allowed:
-                raise ValueError(f"{name} {chosen!r} is unknown; choose one of {', '.join(allowed)}")
-        for name, share in (("noise_share", noise_share), ("mask_share", mask_share)):
-            if not 0 <= share <= 1:
-                raise ValueError(f"{name} is {share}; give a share in [0, 1]")
         self.condition_drop = condition_drop
         self.batch_multiplier = batch_multiplier
         self.space = LatentSpace("continuous", latent_dim, max_latents, downsample)

@@ -9,15 +9,17 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.decoding.unmasking import UnmaskingStep, plan_unmasking
+from kinema.diffusion.choices import Solver, SolverSteps
 from kinema.generators.values import check_known
 from kinema.masking import cosine_counts, lowest, masked_count
+from kinema.options import FullShare, NonNegative, Options, Steps
 from kinema.registry import buildable
 from kinema.types import Known, Latents, LatentSpace, frame_mask
 
 
 @buildable
 @dataclass(frozen=True)
-class MarSampling:
+class MarSampling(Options):
     """Choose how latents are sampled.
 
     `solver` and `solver_steps` choose how the diffusion process samples (None: its defaults). `resample_all` samples
@@ -28,21 +30,15 @@ class MarSampling:
     regenerated, all at once.
     """
 
-    steps: int = 18
-    guidance: float = 4.5
-    solver: str | None = None
-    solver_steps: int | str | None = None
+    steps: Steps = 18
+    guidance: NonNegative = 4.5
+    solver: Solver | None = None
+    solver_steps: SolverSteps | None = None
     resample_all: bool = False
-    temperature: float = 1.0
+    temperature: NonNegative = 1.0
     clip_latents: bool = False
     pseudo_reorder: bool = False
-    edit_fraction: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
-        if self.edit_fraction is not None and not 0 < self.edit_fraction <= 1:
-            raise ValueError(f"sampling.edit_fraction is {self.edit_fraction}; give a share in (0, 1] or None")
+    edit_fraction: FullShare | None = None
 
 
 def start(space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None) -> tuple[Latents, Tensor]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.errors import per_sequence
 from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
-from kinema.generators.mdm.denoiser import MdmDenoiser
+from kinema.generators.mdm.denoiser import ARCHITECTURES, MdmDenoiser
+from kinema.options import Depth, OneOf, OpenShare, Share, Size, checked
 from kinema.registry import buildable
 
 
@@ -21,22 +24,23 @@ class MDM(FrameDiffusion):
 
     denoiser: MdmDenoiser
 
+    @checked
     def __init__(
         self,
         *,
-        frame_dim: int,
+        frame_dim: Size,
         process: DDPM | Flow,
-        text_dim: int | None = None,
-        token_dim: int | None = None,
-        width: int = 512,
-        feedforward: int = 1024,
-        layers: int = 8,
-        heads: int = 4,
-        dropout: float = 0.1,
-        architecture: str = "encoder",
-        condition_drop: float = 0.1,
+        text_dim: Size | None = None,
+        token_dim: Size | None = None,
+        width: Size = 512,
+        feedforward: Size = 1024,
+        layers: Depth = 8,
+        heads: Size = 4,
+        dropout: OpenShare = 0.1,
+        architecture: Annotated[str, OneOf(ARCHITECTURES)] = "encoder",
+        condition_drop: Share = 0.1,
         mask_frames: bool = True,
-        max_frames: int = 196,
+        max_frames: Size = 196,
         sampling: FrameSampling | None = None,
     ) -> None:
         denoiser = MdmDenoiser(

@@ -14,6 +14,7 @@ from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import SequenceDiffusion
 from kinema.generators.frames.sampling import DiffusionSampling
 from kinema.generators.mld.denoiser import MldDenoiser
+from kinema.options import Depth, OpenShare, Share, Size, checked
 from kinema.registry import buildable
 from kinema.types import LatentSpace, TextFeatures
 
@@ -34,20 +35,21 @@ class MLD(SequenceDiffusion):
     denoiser: MldDenoiser
     empty_text: Float[Tensor, " c"]
 
+    @checked
     def __init__(
         self,
         *,
-        text_dim: int,
+        text_dim: Size,
         process: DDPM | Flow,
-        latents: int = 1,
-        latent_dim: int = 256,
-        feedforward: int = 1024,
-        layers: int = 9,
-        heads: int = 4,
-        dropout: float = 0.1,
-        time_dim: int = 768,
-        positions: int = 500,
-        condition_drop: float = 0.1,
+        latents: Size = 1,
+        latent_dim: Size = 256,
+        feedforward: Size = 1024,
+        layers: Depth = 9,
+        heads: Size = 4,
+        dropout: OpenShare = 0.1,
+        time_dim: Size = 768,
+        positions: Size = 500,
+        condition_drop: Share = 0.1,
         sampling: LatentSampling | None = None,
     ) -> None:
         denoiser = MldDenoiser(

@@ -11,13 +11,14 @@ from torch import Tensor, nn
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import unmask_tokens
 from kinema.generators.draws import StepDraws, share_of
-from kinema.generators.tokens.choices import check_draw, likely_choice
+from kinema.generators.tokens.choices import likely_choice
 from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
 from kinema.generators.tokens.generator import TokenGenerator
 from kinema.generators.tokens.residual import ResidualSampling
 from kinema.masking import cosine_counts, cosine_ratio, masked_count
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.options import Classes, Depth, NonNegative, OpenShare, Options, Share, Size, Steps, checked
 from kinema.registry import buildable
 from kinema.types import Known, Latents, Losses, TextFeatures
 
@@ -27,7 +28,7 @@ MASK_SHARE = 0.88
 
 @buildable
 @dataclass(frozen=True)
-class MoMaskSampling:
+class MoMaskSampling(Options):
     """Choose how tokens are sampled, and by `residual_*` how a residual transformer completes them.
 
     `top_k` is the share of the least likely classes that no draw takes (published: 0.9); temperature 0 takes the
@@ -35,20 +36,14 @@ class MoMaskSampling:
     residual layers, as published: such a layer adds nothing.
     """
 
-    steps: int = 10
-    guidance: float = 4.0
-    temperature: float = 1.0
-    top_k: float = 0.9
-    residual_guidance: float = 5.0
-    residual_temperature: float = 1.0
-    residual_top_k: float = 0.9
+    steps: Steps = 10
+    guidance: NonNegative = 4.0
+    temperature: NonNegative = 1.0
+    top_k: OpenShare = 0.9
+    residual_guidance: NonNegative = 5.0
+    residual_temperature: NonNegative = 1.0
+    residual_top_k: OpenShare = 0.9
     residual_padding: bool = False
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise ValueError(f"sampling.steps is {self.steps}; give at least 1")
-        for name in ("", "residual_"):
-            check_draw(name, getattr(self, f"{name}temperature"), getattr(self, f"{name}top_k"))
 
 
 @dataclass
@@ -95,20 +90,21 @@ class MoMask(TokenGenerator):
     most `max_latents`, and the training mask counts positions of `max_latents`, padding included, as published.
     """
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
-        code_dim: int,
-        text_dim: int,
-        width: int = 384,
-        feedforward: int = 1024,
-        layers: int = 8,
-        heads: int = 6,
-        dropout: float = 0.2,
-        condition_drop: float = 0.1,
-        max_latents: int = 49,
-        downsample: int = 4,
+        codebook_size: Classes,
+        code_dim: Size,
+        text_dim: Size,
+        width: Size = 384,
+        feedforward: Size = 1024,
+        layers: Depth = 8,
+        heads: Size = 6,
+        dropout: OpenShare = 0.2,
+        condition_drop: Share = 0.1,
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: MoMaskSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.errors import per_frame
 from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.motiondiffuse.denoiser import MotionDiffuseDenoiser
+from kinema.nn.stylization import ATTENTIONS
+from kinema.options import Depth, OneOf, OpenShare, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 
 
@@ -20,24 +24,25 @@ class MotionDiffuse(FrameDiffusion):
 
     denoiser: MotionDiffuseDenoiser
 
+    @checked
     def __init__(
         self,
         *,
-        frame_dim: int,
-        token_dim: int,
+        frame_dim: Size,
+        token_dim: Size,
         process: DDPM | Flow,
-        width: int = 512,
-        feedforward: int = 1024,
-        layers: int = 8,
-        heads: int = 8,
-        text_width: int = 256,
-        text_feedforward: int = 2048,
-        text_layers: int = 4,
-        text_heads: int = 4,
-        dropout: float = 0.0,
-        attention: str = "linear",
-        condition_drop: float = 0.0,
-        max_frames: int = 196,
+        width: Size = 512,
+        feedforward: Size = 1024,
+        layers: Depth = 8,
+        heads: Size = 8,
+        text_width: Size = 256,
+        text_feedforward: Size = 2048,
+        text_layers: OptionalDepth = 4,
+        text_heads: Size = 4,
+        dropout: OpenShare = 0.0,
+        attention: Annotated[str, OneOf(ATTENTIONS)] = "linear",
+        condition_drop: Share = 0.0,
+        max_frames: Size = 196,
         sampling: FrameSampling | None = None,
     ) -> None:
         denoiser = MotionDiffuseDenoiser(

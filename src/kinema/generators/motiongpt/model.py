@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -19,6 +20,7 @@ from kinema.generators.motiongpt.words import MINILM, PAD, Words
 from kinema.generators.tokens.generator import TokenGenerator
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.options import Classes, Count, Depth, OneOf, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, Losses, TextFeatures, frame_mask
@@ -33,7 +35,7 @@ MARKERS = 3
 class MotionGPTSampling(GptSampling):
     """Choose how tokens are sampled; published: temperature 1, the 50 likeliest tokens (transformers' defaults)."""
 
-    top_k: int | None = 50
+    top_k: Count | None = 50
 
 
 @buildable
@@ -49,30 +51,29 @@ class MotionGPT(TokenGenerator):
 
     predicts_length = True
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
+        codebook_size: Classes,
         vocabulary: str = MINILM,
-        words: int = 30522,
+        words: Classes = 30522,
         weights: str | None = None,
-        width: int = 768,
-        feedforward: int = 2048,
-        layers: int = 12,
-        decoder_layers: int | None = None,
-        heads: int = 12,
-        head_dim: int = 64,
-        dropout: float = 0.1,
-        classes: str = "all",
-        longest_prompt: int = 256,
+        width: Size = 768,
+        feedforward: Size = 2048,
+        layers: Depth = 12,
+        decoder_layers: Depth | None = None,
+        heads: Size = 12,
+        head_dim: Size = 64,
+        dropout: OpenShare = 0.1,
+        classes: Annotated[str, OneOf(CLASSES)] = "all",
+        longest_prompt: Size = 256,
         prompt: str = "Generate motion: {}",
-        max_latents: int = 49,
-        downsample: int = 4,
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: MotionGPTSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
-        if classes not in CLASSES:
-            raise ValueError(f"classes {classes!r} is unknown; choose one of {', '.join(CLASSES)}")
         if "{}" not in prompt:
             raise ValueError(f"prompt {prompt!r} has no place for the caption; put {{}} into it")
         self.weights = weights

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from kinema.diffusion.choices import Solver, SolverSteps
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.registry import buildable
 from kinema.seeds import item_seed
@@ -29,8 +30,8 @@ class MixtureSampling(FrameSampling):
     has no part in it.
     """
 
-    solver: str | None = "ddim"
-    solver_steps: int | str | None = "15,15,8,6,6"
+    solver: Solver | None = "ddim"
+    solver_steps: SolverSteps | None = "15,15,8,6,6"
     coarse: float = 6.5
     both: float = 0.52351
     text: float = -0.28419

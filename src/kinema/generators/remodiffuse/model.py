@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -20,6 +20,7 @@ from kinema.generators.remodiffuse.database import RetrievalDatabase, best
 from kinema.generators.remodiffuse.denoiser import ReMoDiffuseDenoiser
 from kinema.generators.remodiffuse.encoder import Retrieved
 from kinema.generators.remodiffuse.mixture import PASSES, MixtureSampling, flip
+from kinema.options import Depth, NonNegative, OneOf, OpenShare, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 from kinema.types import TextFeatures
 
@@ -63,37 +64,34 @@ class ReMoDiffuse(FrameDiffusion):
     draws_type = RetrievalDraws
     denoiser: ReMoDiffuseDenoiser
 
+    @checked
     def __init__(
         self,
         *,
-        frame_dim: int,
-        token_dim: int,
+        frame_dim: Size,
+        token_dim: Size,
         process: DDPM,
-        width: int = 512,
-        feedforward: int = 1024,
-        layers: int = 4,
-        heads: int = 8,
-        embedding: int | None = None,
-        text_width: int = 256,
-        text_feedforward: int = 2048,
-        text_layers: int = 2,
-        text_heads: int = 4,
-        retrieval_layers: int = 2,
-        retrieval_text_layers: int = 2,
-        retrieved_dim: int | None = None,
-        stride: int = 4,
-        dropout: float = 0.0,
-        neighbours: int = 2,
-        length_weight: float = 0.1,
-        exclusion: str = "same_id",
-        condition_drop: float = 0.1,
-        max_frames: int = 196,
+        width: Size = 512,
+        feedforward: Size = 1024,
+        layers: Depth = 4,
+        heads: Size = 8,
+        embedding: Size | None = None,
+        text_width: Size = 256,
+        text_feedforward: Size = 2048,
+        text_layers: OptionalDepth = 2,
+        text_heads: Size = 4,
+        retrieval_layers: Depth = 2,
+        retrieval_text_layers: OptionalDepth = 2,
+        retrieved_dim: Size | None = None,
+        stride: Size = 4,
+        dropout: OpenShare = 0.0,
+        neighbours: Size = 2,
+        length_weight: NonNegative = 0.1,
+        exclusion: Annotated[str, OneOf(EXCLUSIONS)] = "same_id",
+        condition_drop: Share = 0.1,
+        max_frames: Size = 196,
         sampling: MixtureSampling | None = None,
     ) -> None:
-        if exclusion not in EXCLUSIONS:
-            raise ValueError(f"exclusion {exclusion!r} is unknown; choose one of {', '.join(EXCLUSIONS)}")
-        if neighbours < 1:
-            raise ValueError(f"neighbours is {neighbours}; give at least 1")
         denoiser = ReMoDiffuseDenoiser(
             frame_dim,
             token_dim=token_dim,

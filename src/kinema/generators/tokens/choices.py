@@ -24,11 +24,3 @@ def likely_choice(draws: TokenDraws, temperature: float, dropped: float) -> Choo
         return choose(step, logits.masked_fill(logits < least, -torch.inf))
 
     return among_the_likeliest
-
-
-def check_draw(name: str, temperature: float, dropped: float) -> None:
-    """Raise ValueError for a negative temperature or a `top_k` that leaves no class."""
-    if temperature < 0:
-        raise ValueError(f"sampling.{name}temperature is {temperature}; give 0 (the likeliest class) or more")
-    if not 0 <= dropped < 1:
-        raise ValueError(f"sampling.{name}top_k is {dropped}; give the share of classes to leave out, in [0, 1)")

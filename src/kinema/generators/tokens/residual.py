@@ -12,11 +12,12 @@ from torch import Tensor, nn
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.generators import LatentModel
 from kinema.generators.draws import StepDraws, share_of
-from kinema.generators.tokens.choices import check_draw, likely_choice
+from kinema.generators.tokens.choices import likely_choice
 from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
 from kinema.generators.tokens.request import check_codes
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.options import Classes, Depth, NonNegative, OpenShare, Options, Several, Share, Size, checked
 from kinema.registry import buildable
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
 
@@ -29,16 +30,13 @@ STREAM = 1
 
 @buildable
 @dataclass(frozen=True)
-class ResidualSampling:
+class ResidualSampling(Options):
     """Choose how residual tokens are sampled; the options mean what they mean in `MoMaskSampling`."""
 
-    guidance: float = 5.0
-    temperature: float = 1.0
-    top_k: float = 0.9
+    guidance: NonNegative = 5.0
+    temperature: NonNegative = 1.0
+    top_k: OpenShare = 0.9
     padding: bool = False
-
-    def __post_init__(self) -> None:
-        check_draw("residual_", self.temperature, self.top_k)
 
 
 @dataclass
@@ -68,27 +66,26 @@ class ResidualTransformer(LatentModel):
 
     space: LatentSpace
 
+    @checked
     def __init__(
         self,
         *,
-        codebook_size: int,
-        code_dim: int,
-        text_dim: int,
-        quantizers: int,
-        width: int = 384,
-        feedforward: int = 1024,
-        layers: int = 8,
-        heads: int = 6,
-        dropout: float = 0.2,
-        condition_drop: float = 0.2,
+        codebook_size: Classes,
+        code_dim: Size,
+        text_dim: Size,
+        quantizers: Several,
+        width: Size = 384,
+        feedforward: Size = 1024,
+        layers: Depth = 8,
+        heads: Size = 6,
+        dropout: OpenShare = 0.2,
+        condition_drop: Share = 0.2,
         share_weights: bool = True,
-        max_latents: int = 49,
-        downsample: int = 4,
+        max_latents: Size = 49,
+        downsample: Size = 4,
         sampling: ResidualSampling | None = None,
     ) -> None:
         super().__init__()
-        if quantizers < 2:
-            raise ValueError(f"quantizers is {quantizers}; a residual transformer needs a tokenizer of 2 or more")
         self.codebook_size = codebook_size
         self.quantizers = quantizers
         self.space = LatentSpace("codes", None, max_latents, downsample, codebook_size, quantizers)

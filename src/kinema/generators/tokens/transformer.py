@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from kinema.generators.tokens.words import check_words, visible_words
+from kinema.generators.tokens.words import WORDS, visible_words
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.transformer import TransformerBlock, initialize, run
+from kinema.options import OneOf, checked
 from kinema.types import Losses, TextFeatures
 
 
@@ -23,6 +26,7 @@ class TokenTransformer(nn.Module):
 
     codebook: Float[Tensor, "k d"]
 
+    @checked
     def __init__(
         self,
         *,
@@ -38,10 +42,10 @@ class TokenTransformer(nn.Module):
         base_layers: int = 7,
         head_layers: int = 9,
         dropout: float = 0.1,
-        words: str = "real",
+        words: Annotated[str, OneOf(WORDS)] = "real",
     ) -> None:
         super().__init__()
-        self.words = check_words(words)
+        self.words = words
         self.special = nn.Embedding(specials, code_dim)
         self.input_projection = nn.Linear(code_dim, width)
         self.text_projection = nn.Linear(text_dim, width)

@@ -11,13 +11,6 @@ WORDS = ("real", "all")
 """Real words only, or all 77 positions of CLIP as the published weights saw them (COMMON §6)."""
 
 
-def check_words(words: str) -> str:
-    """Refuse an unknown choice."""
-    if words not in WORDS:
-        raise ValueError(f"words {words!r} is unknown; choose one of {', '.join(WORDS)}")
-    return words
-
-
 def visible_words(text: TextFeatures, words: str) -> tuple[Float[Tensor, "b l t"], Bool[Tensor, "b l"] | None]:
     """Return the words' features and the mask of the visible ones, None where all are.
 

@@ -11,24 +11,16 @@ from kinema.training.dashboards.csv_file import CsvFile
 from kinema.training.dashboards.tensorboard import TensorBoard
 from kinema.training.dashboards.wandb import Wandb
 
-__all__ = ["About", "Dashboard", "check_names", "dashboards", "kinds"]
+__all__ = ["NAMES", "About", "Dashboard", "dashboards", "kinds"]
 
 KINDS: tuple[type[Dashboard], ...] = (CsvFile, TensorBoard, Wandb)
+NAMES = tuple(kind.name for kind in KINDS)
 
 
 def kinds(names: Iterable[str]) -> list[type[Dashboard]]:
-    """Return the dashboards of these names; raises ValueError for an unknown one."""
+    """Return the dashboards of these names."""
     known = {kind.name: kind for kind in KINDS}
-    check_names(names)
     return [known[name] for name in names]
-
-
-def check_names(names: Iterable[str]) -> None:
-    """Raise ValueError for an unknown dashboard."""
-    known = [kind.name for kind in KINDS]
-    for name in names:
-        if name not in known:
-            raise ValueError(f"logger.names has {name!r}; allowed: {', '.join(known)}")
 
 
 @contextlib.contextmanager

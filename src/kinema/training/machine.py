@@ -1,0 +1,41 @@
+"""Say where and how training runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import torch
+from annotated_types import Interval, Len
+
+from kinema.devices import ACCELERATORS
+from kinema.options import Count, Matches, Number, OneOf, Options, Size, Threads
+
+Devices = (
+    Annotated[int, Interval(ge=-1, le=4096)]
+    | Annotated[str, Matches(r"auto|-1|\d+(,\d+)*", "auto or numbers with commas")]
+    | Annotated[list[Number], Len(1)]
+)
+PRECISIONS = ("32-true", "16-mixed", "bf16-mixed", "64-true", "16-true", "bf16-true")
+PROGRESS = ("rich", "tqdm", "none")
+
+
+@dataclass(frozen=True)
+class Machine(Options):
+    """Say where and how to run: nothing of it changes what is computed (beyond rounding)."""
+
+    accelerator: Annotated[str, OneOf(ACCELERATORS)] = "auto"
+    devices: Devices = 1
+    num_nodes: Size = 1
+    strategy: str = "auto"
+    precision: Annotated[str, OneOf(PRECISIONS)] = "32-true"
+    compile: bool = False
+    threads: Threads | None = None
+    progress: Annotated[str, OneOf(PROGRESS)] = "rich"
+    log_every: Count = 50
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def limit_threads(self) -> None:
+        """Use this many CPU threads from now on (None: as many as torch takes)."""
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
