@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from kinema.atomic import write_text
+from kinema.files.json import read_json
 from kinema.report.content import Content, content_of
 from kinema.report.gallery import gallery, group_of, moved
 from kinema.report.page import document, html_page
@@ -54,10 +54,7 @@ def write_site(reports: str | Path) -> list[Path]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged ({error}); render its report again with `kinema reproduce`") from None
+    return read_json(path, {"title": str}, fix="render its report again with `kinema reproduce`")
 
 
 def _tables(tables: dict[str, Content]) -> str:
