@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.markup import escape
 
+from kinema.atomic import needing_room
 from kinema.files.json import Kind, parse_json
 from kinema.runs.console import console
 
@@ -16,7 +17,7 @@ from kinema.runs.console import console
 def append_line(path: Path, value: dict[str, Any]) -> None:
     """Append one JSON line, ending a torn last line first so that it can't swallow this one."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with open(path, "ab+") as file:
+    with needing_room(path), open(path, "ab+") as file:
         torn = False
         if file.tell():
             file.seek(-1, os.SEEK_END)

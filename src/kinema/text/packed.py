@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from kinema.atomic import write_json
+from kinema.atomic import needing_room, write_json
 from kinema.locks import hold
 
 FORMAT = 1
@@ -121,7 +121,7 @@ class PackedFeatures:
 
     def _write(self, name: str, at: int, data: bytes) -> None:
         """Write behind the last byte that a whole record refers to; cut off what a killed process left there."""
-        with _open_for_update(self.folder / name) as file:
+        with needing_room(self.folder / name), _open_for_update(self.folder / name) as file:
             if os.fstat(file.fileno()).st_size < at:
                 raise OSError(f"{self.folder / name} shrank while in use; leave the folder alone and start again")
             file.truncate(at)

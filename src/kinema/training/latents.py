@@ -7,7 +7,9 @@ to keep than latents and spare the encoder, so that every step draws anew.
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +118,7 @@ class LatentCache:
             if values is None:
                 shape, kind = (int(offsets[-1]), encoded.shape[-1]), np.int32 if discrete else np.float32
                 values = np.lib.format.open_memmap(folder / "values.npy", "w+", kind, shape)
+                _claim(folder / "values.npy")
             for i, row in zip(chunk, encoded, strict=True):
                 values[offsets[i] : offsets[i + 1]] = row
             start += len(chunk)
@@ -131,6 +134,13 @@ class LatentCache:
             "crops": len(crops),
         }
         (folder / "meta.json").write_text(json.dumps(meta))
+
+
+def _claim(file: Path) -> None:
+    """Take a mapped file's room at once: on a full disk, writing to the map would end the process without a word."""
+    if sys.platform == "linux":
+        with file.open("r+b") as opened:
+            os.posix_fallocate(opened.fileno(), 0, file.stat().st_size)
 
 
 class EncodeEachTime:
