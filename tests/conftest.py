@@ -24,8 +24,9 @@ CHECKER = (
     "int: int | __import__('numpy').integer, float: float | int | __import__('numpy').number, "
     "__import__('typing').Self: object})))"
 )
-CHECKED = ("types", "atomic", "locks", "seeds", "devices", "registry", "masking", "nn", "motion", "data", "diffusion")
+CHECKED = ("types", "atomic", "files", "locks", "seeds", "devices", "registry", "masking", "nn", "motion", "data")
 CHECKED += (
+    "diffusion",
     "decoding",
     "runs",
     "pipeline",
@@ -35,8 +36,8 @@ CHECKED += (
     "cli",
     "generators",
     "tokenizers",
-    "interop",
 )
+CHECKED += ("tokenizers", "interop")
 CHECKED += tuple(
     f"training.{name}"
     for name in (

@@ -18,31 +18,30 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "options", "atomic", "locks", "seeds", "devices", "registry", "nn", "masking"}
+FOUNDATION = {"types", "options", "atomic", "files", "locks", "seeds", "devices", "registry", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
     # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so are
-    # `options`, `atomic`, `locks`, `seeds`, `devices` and `registry`, which know nothing else of kinema; text to
-    # generators that read strings and all behind; interop stands beside pipeline; report reads results only.
     "types": set(),
     "options": set(),
     "atomic": set(),
+    "files": set(),
     "locks": set(),
     "seeds": {"options"},
     "devices": set(),
     "registry": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
-    "motion": {"types", "options", "atomic", "registry"},
-    "data": {"types", "options", "atomic", "locks", "seeds", "motion"},
-    "text": {"types", "atomic", "locks", "seeds"},
+    "motion": {"types", "options", "atomic", "files", "registry"},
+    "data": {"types", "options", "atomic", "files", "locks", "seeds", "motion"},
+    "text": {"types", "atomic", "files", "locks", "seeds"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
     "generators": {*MODEL, "text", "tokenizers"},
-    "runs": {"options", "atomic", "locks", "registry"},
-    "report": {"types", "atomic", "motion"},
+    "runs": {"options", "atomic", "files", "locks", "registry"},
+    "report": {"types", "atomic", "files", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT["pipeline"], "pipeline", "data"}

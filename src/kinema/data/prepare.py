@@ -25,7 +25,7 @@ from kinema.data.catalog import Catalog, Clip, Dropped
 from kinema.data.convert import convert
 from kinema.data.origin import index_file
 from kinema.data.packing import StoreWriter
-from kinema.data.store import FORMAT, PackedStore
+from kinema.data.store import FORMAT, PackedStore, read_manifest
 from kinema.locks import hold
 from kinema.motion.skeleton import get_skeleton
 from kinema.options import Share, Threads, check
@@ -221,7 +221,7 @@ def _move(staging: Path, out: Path, content: str) -> None:
 def _request_of(store: Path) -> str | None:
     """Return the request that made a store, None where there is no store."""
     file = store / "manifest.json"
-    return json.loads(file.read_text(encoding="utf-8"))["options"]["request"] if file.is_file() else None
+    return read_manifest(store)["options"]["request"] if file.is_file() else None
 
 
 def _listing(source: str | Path | None) -> str:

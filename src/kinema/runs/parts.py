@@ -12,8 +12,9 @@ from typing import Any
 import torch
 
 from kinema.atomic import write_json
+from kinema.files.json import Each
 from kinema.runs import weights
-from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.folder import RunFolder, read_about
 
 GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
 """The parts that a pipeline itself knows by name; a generator names those that it takes."""
@@ -25,6 +26,7 @@ DECOMPOSITION = "decomposition"
 """The autoencoder of short windows whose encoder the T2M-style evaluator reads."""
 
 UPSTREAM, TEXT = "upstream.json", "text.json"
+ENCODER = {"encoder": str, "path": str | None}
 
 ASKED = "asked"
 """The folder of links to what a run reads outside of itself and its tree of runs."""
@@ -66,7 +68,7 @@ def upstream(run: Path) -> dict[str, Path]:
 
     Raises ValueError for a part outside of the run's tree, unless it was asked for on this machine.
     """
-    return {name: _part(run, name, part) for name, part in _names(run / UPSTREAM).items()}
+    return {name: _part(run, name, part) for name, part in read_about(run / UPSTREAM, Each(str)).items()}
 
 
 def write_text_encoder(run: Path, name: str, path: str | None) -> None:
@@ -78,11 +80,7 @@ def write_text_encoder(run: Path, name: str, path: str | None) -> None:
 
 def read_text_encoder(run: Path) -> dict[str, Any]:
     """Read which text encoder a run's model reads: `encoder` and `path`; nothing where it reads none."""
-    found = read_json(run / TEXT)
-    for key, kinds in (("encoder", str), ("path", str | None)):
-        if found and not isinstance(found.get(key), kinds):
-            raise ValueError(f"{run / TEXT} says {key}={found.get(key)!r}; train or import this run again")
-    return found
+    return read_about(run / TEXT, ENCODER)
 
 
 def require_asked(run: Path, name: str, where: str, what: str) -> None:
@@ -95,14 +93,6 @@ def require_asked(run: Path, name: str, where: str, what: str) -> None:
     if not asked.is_symlink() or os.readlink(asked) != where:
         command = f"mkdir -p {shlex.quote(str(run / ASKED))} && ln -sfn {shlex.quote(where)} {shlex.quote(str(asked))}"
         raise ValueError(f"{what} {where!r}, which lies outside; if you trust that: {command}")
-
-
-def _names(file: Path) -> dict[str, str]:
-    found = read_json(file)
-    for name, part in found.items():
-        if not isinstance(part, str):
-            raise ValueError(f"{file} says {name}={part!r}, no folder of a run; train or import this run again")
-    return found
 
 
 def _part(run: Path, name: str, part: str) -> Path:
