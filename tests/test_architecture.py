@@ -18,17 +18,18 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "nn", "masking"}
+FOUNDATION = {"types", "atomic", "locks", "seeds", "signals", "devices", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
     # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so are
-    # `atomic`, `locks`, `seeds` and `devices`, which know nothing else of kinema; text to generators that read strings
-    # and all behind; interop stands beside pipeline; report reads results only.
+    # `atomic`, `locks`, `seeds`, `signals` and `devices`, which know nothing else of kinema; text to generators that
+    # read strings and all behind; interop stands beside pipeline; report reads results only.
     "types": set(),
     "atomic": set(),
     "locks": set(),
     "seeds": set(),
+    "signals": set(),
     "devices": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
@@ -39,7 +40,7 @@ MAY_IMPORT = {
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
     "generators": {*MODEL, "text", "tokenizers"},
-    "runs": {"atomic", "locks"},
+    "runs": {"atomic", "locks", "signals"},
     "report": {"types", "atomic", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}

@@ -149,9 +149,3 @@ def test_debug_runs_are_short_and_kept_apart(overrides, tmp_path):
     assert not (tmp_path / "runs").exists()
     links = json.loads((Path(run.path) / "upstream.json").read_text())
     assert all((run.path / link / "weights.safetensors").exists() for link in links.values())
-
-
-def test_a_diverged_run_is_not_taken_for_a_finished_one(overrides):
-    cfg = compose([*overrides, "tokenizer.train.lr=1e30", "tokenizer.train.decay=milestones"])
-    with pytest.raises(ValueError, match="diverged"):
-        run_stage(cfg, "tokenizer")

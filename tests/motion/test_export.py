@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -60,6 +62,29 @@ def test_mp4_has_the_frames_and_rate(wander, tmp_path, skeleton):
     for channel in (0, 2):  # an orange and a blue side
         other = 2 - channel
         assert (frames[0][..., channel].astype(int) - frames[0][..., other] > 80).sum() > 100
+
+
+FULL = """
+import resource, sys
+import numpy as np
+from kinema.motion import export
+from kinema.motion.formats.arrays import load_npz
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+export.save(load_npz(sys.argv[1] + "/m.npz"), sys.argv[1] + "/film.mp4")
+"""
+
+
+@pytest.mark.parametrize("most", [0, 2000])
+def test_a_film_that_finds_no_room_is_an_error_and_leaves_nothing(motion, tmp_path, most):
+    """A disk that is full at once, and one that is full in the middle: the system refuses files above a size."""
+    pytest.importorskip("imageio_ffmpeg", reason="pip install 'kinema[viz]'")
+    export.save(motion, tmp_path / "m.npz")
+    (tmp_path / "film.mp4").write_bytes(b"an older film")
+    ended = subprocess.run([sys.executable, "-c", FULL, tmp_path, str(most)], capture_output=True, text=True)
+    assert ended.returncode != 0
+    assert f"OSError: could not write {tmp_path}/film.mp4: " in ended.stderr, ended.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "m.npz"]
+    assert (tmp_path / "film.mp4").read_bytes() == b"an older film"
 
 
 def test_strip_is_one_wide_picture(motion, tmp_path):

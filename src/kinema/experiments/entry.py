@@ -15,6 +15,7 @@ from omegaconf.errors import OmegaConfBaseException
 from rich.markup import escape
 
 from kinema.experiments.config import CONF, explain, refuse_processes, register_resolvers
+from kinema.signals import Interrupted, interruptible
 
 EXPECTED = (ValueError, OSError, ImportError)
 """What a user can mend: told in one line."""
@@ -75,7 +76,12 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
         sys.argv = [given[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises what it would print: `explain` names the options there are
     try:
-        hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
+        with interruptible():
+            hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
+    except Interrupted as stop:
+        if not stop.told:
+            print(f"stopped   {stop}", file=sys.stderr)
+        raise
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"error: {explain(error)}")
     except EXPECTED as error:  # of a job of a sweep, told above

@@ -23,6 +23,7 @@ from kinema.report.intervals import FORMS
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
+from kinema.signals import Interrupted, interruptible
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -47,7 +48,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--intervals", choices=FORMS, help="the 95 %% interval: Student's t, or 1.96 std / sqrt(n)")
     options = vars(parser.parse_intermixed_args(arguments))
     try:
-        reproduce(options.pop("name"), options.pop("overrides"), **options)
+        with interruptible():
+            reproduce(options.pop("name"), options.pop("overrides"), **options)
+    except Interrupted as stop:
+        print(f"stopped   {stop}; what is finished is kept", file=sys.stderr)
+        raise
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"error: {error}")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import time
-import traceback
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
@@ -140,11 +139,8 @@ def _make(
     OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")
     link(folder.path, {name: run.path for name, run in (needs | beside).items()})
     folder.mark("running", versions=versions())
-    try:
+    with folder.marked_by_failure():
         result = stage.make(cfg, store, needs, folder)
-    except BaseException as error:
-        folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
-        raise
     folder.mark("done", **asdict(result))
     (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
     console.print(f"done      {folder.path} in {result.seconds:.0f} s")

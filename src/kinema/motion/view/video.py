@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import subprocess
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -34,22 +38,49 @@ def save_mp4(motion: Motion, path: str | Path) -> Path:
     canvas = new_canvas(_PIXELS / 100, _PIXELS / 100, dpi=100)
     axes = canvas.figure.add_axes((0, 0, 1, 1))
     angle = facing(joints[0], body) + _TURN
-    with replacing(path) as temporary:
-        writer = imageio_ffmpeg.write_frames(
-            str(temporary), (_PIXELS, _PIXELS), fps=motion.fps, codec="libx264", quality=8, ffmpeg_log_level="error"
-        )
-        writer.send(None)
-        try:
-            for frame in range(len(joints)):
-                axes.clear()
-                camera = Camera((way[frame, 0], 0.57 * body.stature, way[frame, 1]), angle, _PITCH, 2.7 * body.stature)
-                _draw_frame(axes, joints, frame, body, camera)
-                _caption(axes, motion, frame)
-                canvas.draw()
-                writer.send(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
-        finally:
-            writer.close()
+    with replacing(path) as temporary, _encoder(imageio_ffmpeg.get_ffmpeg_exe(), motion.fps, temporary, path) as pipe:
+        for frame in range(len(joints)):
+            axes.clear()
+            camera = Camera((way[frame, 0], 0.57 * body.stature, way[frame, 1]), angle, _PITCH, 2.7 * body.stature)
+            _draw_frame(axes, joints, frame, body, camera)
+            _caption(axes, motion, frame)
+            canvas.draw()
+            pipe.write(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
     return Path(path)
+
+
+@contextmanager
+def _encoder(ffmpeg: str, fps: float, temporary: Path, path: str | Path) -> Iterator[IO[bytes]]:
+    """Yield a pipe to an encoder of RGB frames, which writes an H.264 film.
+
+    Raises OSError with what the encoder says if it fails (a full disk): its exit code alone tells, at the end.
+    """
+    taken = [
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{_PIXELS}x{_PIXELS}",
+        "-r",
+        str(Fraction(fps).limit_denominator()),
+        "-i",
+        "-",
+        "-an",
+    ]
+    made = ["-vcodec", "libx264", "-pix_fmt", "yuv420p", "-crf", "10", "-v", "error", str(temporary)]
+    process = subprocess.Popen([ffmpeg, "-y", *taken, *made], stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    try:
+        with suppress(BrokenPipeError):  # its exit code says more
+            yield cast("IO[bytes]", process.stdin)
+        _, said = process.communicate()
+    except BaseException:
+        process.kill()
+        process.communicate()
+        raise
+    if process.returncode:
+        reason = (said.decode(errors="replace").strip().splitlines() or [f"exit code {process.returncode}"])[0]
+        raise OSError(f"could not write {path}: {reason} (is the disk full?); nothing of it is kept")
 
 
 def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
