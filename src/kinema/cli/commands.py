@@ -17,6 +17,7 @@ from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.listing import Listed
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
 from kinema.motion.features import extract
@@ -149,14 +150,16 @@ def site(options: argparse.Namespace) -> None:
 
 
 def info(options: argparse.Namespace) -> None:
-    """Describe a run folder or a weights file; without one, what a bug report should say."""
+    """Describe a run folder, whatever its state, or a weights file; without one, what a bug report should say."""
     if options.run is None:
         print(json.dumps({**versions(), "system": platform.platform(), "cuda": torch.version.cuda}, indent=2))
         return
     path = find_run(options.run)
     file = RunFolder(path).weights if path.is_dir() else path
-    meta = weights.read_meta(file)
-    parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
+    parts = Listed(RunFolder(path)).describe() if path.is_dir() else {}
+    if file.exists() or not parts:
+        meta = weights.read_meta(file)
+        parts |= {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
         if found := read_json(path / f"{name}.json"):
             parts[name] = found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import traceback
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +21,7 @@ from kinema.experiments.run import check, command, run_folder, run_stage, stage_
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.locks import attempt
+from kinema.report.intervals import means
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
@@ -29,6 +29,9 @@ from kinema.runs.versions import versions
 
 if TYPE_CHECKING:
     from kinema.experiments.scoring import Scorer
+
+TOLD = ("r1", "r2", "r3", "fid", "matching", "diversity", "multimodality", "clip_score", "mpjpe_mm")
+"""Metrics that are printed; the folder has all."""
 
 
 @dataclass(frozen=True)
@@ -143,20 +146,25 @@ def run_evaluation(cfg: DictConfig) -> Row:
     for stage in _unfinished(cfg, row):
         run_stage(cfg, stage.name, quiet=True)
     scoring = _Scoring(cfg, row)
-    try:
+    with row.folder.marked_by_failure():
         for patient in (False, True):  # what another process is at is waited for when nothing else is left
             for replication in row.missing:
                 with attempt(row.folder.path / f".replication-{replication}.lock", wait=patient) as mine:
                     if mine and replication in row.missing:
                         scoring.score(replication)
-    except BaseException as error:
-        row.folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
-        raise
     if len(row.lines) == row.replications:
         row.folder.mark("done", versions=versions())
+        _tell_means(row)
         with row.folder.lock():
             show_results(cfg, row.folder, anew=True)
     return row
+
+
+def _tell_means(row: Row) -> None:
+    """Print the means over all replications, with their 95 % intervals."""
+    found = means([line["metrics"] for line in row.lines])
+    shown = ", ".join(f"{name} {found[name].text(3)}" for name in TOLD if name in found)
+    console.print(f"mean      of {row.replications}: {shown}")
 
 
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
