@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
+from safetensors.torch import load_file
 
 from kinema.experiments import multirun
 from kinema.experiments.config import compose
@@ -97,13 +99,43 @@ def test_a_resumed_bar_counts_the_steps_of_the_whole_run(bar, overrides, monkeyp
         if trainer.global_step == 22:
             os.kill(os.getpid(), signal.SIGTERM)
 
-    with monkeypatch.context() as once, pytest.raises(Interrupted):
+    with monkeypatch.context() as once:
         once.setattr(RunRecord, "on_train_batch_end", interrupted)
-        run_stage(own, "tokenizer")
+        with pytest.raises(Interrupted):
+            run_stage(own, "tokenizer")
     assert seen[-1] == (21, 24)
     seen.clear()
     run_stage(own, "tokenizer")
     assert seen == [(step, 24) for step in range(21, 25)]
+
+
+@pytest.mark.slow
+def test_what_the_scores_select_outlives_an_interruption(overrides, tmp_path, monkeypatch):
+    """Scored at steps 3, 6, 9 and 12; the interrupted run goes on from step 10, with what was best until then."""
+    brief = [*overrides, "generator.train.select=fid", "callbacks.score_every=3", "callbacks.score_clips=16"]
+    brief += ["generator.train.steps=12", "logger=none"]
+    straight = run_stage(compose(brief), "generator")
+    other = tmp_path / "other"
+    other.mkdir()
+    for stage in (tmp_path / "runs").iterdir():
+        if stage.name != "generator":
+            (other / stage.name).symlink_to(stage)
+    own = compose([*brief, f"paths.runs={other}"])
+    ended = Checkpoints.on_train_batch_end
+
+    def interrupted(self, trainer, *rest):
+        ended(self, trainer, *rest)
+        if trainer.global_step == 11:
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with monkeypatch.context() as once:
+        once.setattr(Checkpoints, "on_train_batch_end", interrupted)
+        with pytest.raises(Interrupted, match="from step 10"):
+            run_stage(own, "generator")
+    resumed = run_stage(own, "generator")
+    assert resumed.status["step"] == straight.status["step"]
+    ours, theirs = load_file(resumed.weights), load_file(straight.weights)
+    assert all(torch.equal(ours[name], value) for name, value in theirs.items())
 
 
 @pytest.mark.slow

@@ -94,6 +94,20 @@ def test_strip_is_one_wide_picture(motion, tmp_path):
     assert width > 2 * height
 
 
+def test_a_strip_shows_travel(motion, tmp_path):
+    image = pytest.importorskip("matplotlib.image", reason="pip install 'kinema[viz]'")
+    here = np.repeat(motion.joints[:1], 12, axis=0)
+    away = here + np.linspace(0, 3, 12, dtype=np.float32)[:, None, None] * np.array([0, 0, 1], np.float32)
+    pictures = [
+        image.imread(export.save(replace(motion, joints=joints), tmp_path / f"{i}.png"))
+        for i, joints in enumerate((here, away))
+    ]
+    still, moving = (picture.shape[1] for picture in pictures)
+    assert moving > still * 1.1  # the way from above, at the right
+    blue = (pictures[1][:, still:, 2] - pictures[1][:, still:, 0]) > 0.4
+    assert np.ptp(np.nonzero(blue)[0]) > 3 * np.ptp(np.nonzero(blue)[1])  # it went straight ahead: up
+
+
 def test_unknown_suffix_names_the_known(motion, tmp_path):
     with pytest.raises(ValueError, match=r"'m\.gif'.*\.html, \.mp4, \.png, \.npy, \.npz"):
         export.save(motion, tmp_path / "m.gif")

@@ -102,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("text", nargs="+", help="what the person does; several texts give several motions")
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
     make.add_argument("--frames", type=int, help="length in frames")
+    make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument("--motion", required=True, help=".npz that generate wrote, or joints (T, J, 3) as .npy")

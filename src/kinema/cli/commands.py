@@ -39,13 +39,16 @@ from kinema.types import Motion
 
 def generate(options: argparse.Namespace) -> None:
     """Generate one motion per text, or one long motion of all."""
-    files = _files(options.out, 1 if options.chain else len(options.text))
+    if options.count < 1 or (options.chain and options.count > 1):
+        raise ValueError(f"--count {options.count}; it must be at least 1, and 1 with --chain")
+    texts = [text for text in options.text for _ in range(options.count)]
+    files = _files(options.out, 1 if options.chain else len(texts))
     model = _model(options)
     lengths = {"frames": options.frames, "seconds": options.seconds}
     if options.chain:
         _write([model.chain(options.text, **lengths, seed=options.seed, **options.set)], files)
         return
-    _write(model.generate(options.text, **lengths, seed=options.seed, **options.set), files)
+    _write(model.generate(texts, **lengths, seed=options.seed, **options.set), files)
 
 
 def edit(options: argparse.Namespace) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -137,6 +139,15 @@ def check_options(cfg: DictConfig) -> None:
         options = {str(key) for key in OmegaConf.load(CONF / group / f"{option}.yaml")} - {"defaults"}
         for key in sorted(cfg[group].keys() - options):
             raise ValueError(f"{group}.{key} is no option; {group} has {', '.join(sorted(options))}")
+
+
+def refuse_absent_slurm(words: Iterable[str]) -> None:
+    """Raise FileNotFoundError where overrides choose Slurm on a machine that hasn't got it."""
+    if {"launcher=slurm", "hydra/launcher=submitit_slurm"} & set(words) and shutil.which("srun") is None:
+        raise FileNotFoundError(
+            "launcher=slurm: there is no srun here; start it on a machine of the cluster, or choose "
+            "launcher=submitit_local, joblib or local"
+        )
 
 
 def refuse_processes(cfg: DictConfig, multirun: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 
 import hydra
@@ -14,7 +15,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from rich.markup import escape
 
-from kinema.experiments.config import CONF, explain, refuse_processes, register_resolvers
+from kinema.experiments.config import CONF, explain, refuse_absent_slurm, refuse_processes, register_resolvers
 from kinema.signals import Interrupted, interruptible
 
 EXPECTED = (ValueError, OSError, ImportError)
@@ -52,7 +53,7 @@ def evaluate(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments: Sequence[str] | None) -> None:
-    given = sys.argv
+    given, failed = sys.argv, []
 
     def job(cfg: DictConfig) -> float | None:
         # Lightning starts the processes of further devices with what sys.argv was; Hydra read a part of it.
@@ -61,13 +62,12 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
         try:
             refuse_processes(cfg, multirun=sweep)
             return task(cfg)
-        except EXPECTED as error:
-            if cfg.debug.enabled:
+        except Exception as error:
+            if sweep:  # it must not end the others: they are listed when all are done
+                own = [o for o in HydraConfig.get().overrides.task if o not in sys.argv]
+                failed.append(f"{' '.join(own)}: {_told(error)}")
                 raise
-            if sweep:  # it must not end the others: Hydra tells it when all are done
-                from kinema.runs.console import console  # here: launchers pickle this function with what it names
-
-                console.print(f"[red]failed[/]    {escape(str(error))}")
+            if cfg.debug.enabled or not isinstance(error, EXPECTED):
                 raise
             sys.exit(f"error: {error}")
 
@@ -76,6 +76,7 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
         sys.argv = [given[0], *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises what it would print: `explain` names the options there are
     try:
+        refuse_absent_slurm(sys.argv)
         with interruptible():
             hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
     except Interrupted as stop:
@@ -84,7 +85,21 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
         raise
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(f"error: {explain(error)}")
-    except EXPECTED as error:  # of a job of a sweep, told above
-        sys.exit(f"error: {error}")
+    except Exception as error:  # of a job of a sweep; one that ran elsewhere isn't listed
+        if not failed and not isinstance(error, EXPECTED):
+            raise
+        listed = [f"{len(failed)} of the sweep's jobs failed, the others are done:", *failed]
+        sys.exit("error: " + ("\n  ".join(listed) if failed else str(error)))
     finally:
         sys.argv = given
+
+
+def _told(error: Exception) -> str:
+    """Tell at once why a job of a sweep failed, and return it as one line; of what nobody expects also where."""
+    from kinema.runs.console import console  # here: launchers pickle what a job names
+
+    if not isinstance(error, EXPECTED):
+        traceback.print_exception(error)
+    line = " ".join(str(error).split()) if isinstance(error, EXPECTED) else repr(error)
+    console.print(f"[red]failed[/]    {escape(line)}")
+    return line

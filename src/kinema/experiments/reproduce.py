@@ -10,6 +10,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
+
+from kinema.experiments.config import compose, refuse_absent_slurm
 from kinema.experiments.dashboards import show_table
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import JobsFailedError, missing_jobs, processes, run_jobs
@@ -79,6 +82,8 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
         return
     if request.intervals is not None:
         table["intervals"] = request.intervals
+    if request.launcher:
+        compose([*request.shared, *request.launcher])  # tells an unknown launcher, or option of it, before all else
     rows, own = plan(table, request.shared, request.seeds), table.get("overrides", [])
     if request.plan:
         print_plan(missing_jobs(rows, [*request.shared, *own], request.replications), rows)
@@ -97,7 +102,8 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     show_table(some, request.name, fingerprint(request.command), written)
     lacking = [row.label for row in rows if row.cfg is not None and not row.complete]
     if lacking:
-        console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
+        looked = escape(str(Path(some.paths.runs).absolute()))
+        console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)} (in {looked})")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
     if failure is not None:
         raise failure
@@ -115,6 +121,7 @@ def run_missing(rows: list[TableRow], own: list[str], request: Request) -> None:
     """Run what is missing under the request's overrides and the table's own: here, or by the launcher they name."""
     shared = [*request.shared, *own]
     if request.launcher:
+        refuse_absent_slurm(request.launcher)
         run_multiruns(missing_jobs(rows, replications=request.replications), [*shared, *request.launcher])
         return
     count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))

@@ -15,7 +15,19 @@ import numpy as np
 
 from kinema.atomic import replacing
 from kinema.motion.view.body import Body, body_of, finite_metres
-from kinema.motion.view.draw import INK, MUTED, Camera, draw_grid, draw_path, draw_pose, facing, new_canvas, new_figure
+from kinema.motion.view.draw import (
+    ACCENT,
+    INK,
+    MUTED,
+    STAGE,
+    Camera,
+    draw_grid,
+    draw_path,
+    draw_pose,
+    facing,
+    new_canvas,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +36,7 @@ if TYPE_CHECKING:
 
 _PIXELS = 480
 _TURN, _PITCH = 0.6, 0.2
+_TRAVEL = 0.2  # statures from the start that count as travel
 _VIEW = 1.46  # the film's field of view in statures
 
 
@@ -84,7 +97,10 @@ def _encoder(ffmpeg: str, fps: float, temporary: Path, path: str | Path) -> Iter
 
 
 def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
-    """Write a still picture: evenly spaced poses side by side with their times, the caption above."""
+    """Write a still picture: evenly spaced poses side by side with their times, the caption above.
+
+    Of a motion that travels also how far it is from its start, and its way from above.
+    """
     joints, body = finite_metres(motion), body_of(motion)
     frames = np.unique(np.linspace(0, len(joints) - 1, poses).round().astype(int))
     angle = facing(joints[0], body) + _TURN
@@ -93,20 +109,43 @@ def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
     reach = [(p.min() - 0.03 * body.stature, p.max() + 0.03 * body.stature) for p, _, _ in drawn]
     places = _places(reach, cell)
     left, right = places[0] + min(reach[0][0], -cell / 2), places[-1] + max(reach[-1][1], cell / 2)
+    travelled = np.linalg.norm(joints[frames, 0][:, [0, 2]] - joints[0, 0, [0, 2]], axis=1)
+    travels, middle = travelled.max() > _TRAVEL * body.stature, right + 0.6 * cell
+    right += 1.2 * cell if travels else 0.0
     height = 2.5
     figure = new_figure(height * (right - left) / (high - low), height, dpi=200)
     axes = figure.add_axes((0, 0, 1, 1))
     _bare(axes, (left, right), (low, high))
     axes.axhspan(low, 0.05 * body.stature, color="#ebeff3", zorder=0, lw=0)
-    for frame, place, (_, pose, camera) in zip(frames, places, drawn, strict=True):
+    style: dict[str, Any] = {"ha": "center", "va": "center", "color": MUTED, "fontsize": 8}
+    for frame, place, (_, pose, camera), metres in zip(frames, places, drawn, travelled, strict=True):
         draw_pose(axes, pose, body, camera, at=place)
-        axes.text(place, low * 0.72, f"{frame / motion.fps:.1f} s", ha="center", va="center", color=MUTED, fontsize=8)
+        far = f"\n{metres:.1f} m" if travels else ""
+        axes.text(place, low * (0.6 if travels else 0.72), f"{frame / motion.fps:.1f} s{far}", **style)
+    if travels:
+        _draw_way(axes, _from_above(joints, facing(joints[0], body)), frames, (middle, 0.6 * body.stature), 0.9 * cell)
+        axes.text(middle, low * 0.6, "from above,\nfacing up", **style)
     columns = max(20, int(13 * figure.get_size_inches()[0]))
     caption = textwrap.shorten(motion.text, 2 * columns, placeholder=" ...")
     axes.text(0.012, 0.965, textwrap.fill(caption, columns), transform=axes.transAxes, va="top", color=INK, fontsize=10)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
     return Path(path)
+
+
+def _from_above(joints: np.ndarray, yaw: float) -> np.ndarray:
+    """Return the root's way seen from above, where the first pose faces up."""
+    way = joints[:, 0, [0, 2]] - joints[0, 0, [0, 2]]
+    return way @ np.array([[-np.cos(yaw), np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+
+
+def _draw_way(axes: Axes, way: np.ndarray, frames: np.ndarray, centre: tuple[float, float], size: float) -> None:
+    """Draw a way into a square, the poses as dots and the first of them hollow."""
+    middle, extent = (way.min(0) + way.max(0)) / 2, float(np.ptp(way, axis=0).max())
+    points = (way - middle) * size / extent + centre
+    axes.plot(*points.T, color=ACCENT, lw=1.4, zorder=3)
+    axes.plot(*points[frames].T, "o", color=ACCENT, ms=3, zorder=4)
+    axes.plot(*points[0], "o", mfc=STAGE, mec=ACCENT, ms=5, zorder=5)
 
 
 def _draw_frame(axes: Axes, joints: np.ndarray, frame: int, body: Body, camera: Camera) -> None:
