@@ -137,7 +137,12 @@ def test_the_redundant_judge_reads_real_motion(brief):
     redundant = [*brief, "evaluator=redundant", "scale.protocol.replications=1", "source=real"]
     metrics = judged(compose(redundant, "evaluate"))
     assert metrics["fid"] == pytest.approx(0, abs=1e-2)
+    assert "clip_score" not in metrics  # no table reads it: its evaluator is neither trained nor asked
     row = describe(compose(redundant, "evaluate"))
+    assert list(row.judges) == ["matching"]
+    whole = describe(compose([*redundant, "evaluator.unread=[]"], "evaluate"))
+    assert whole.folder == row.folder  # the same row: who wants all of its metrics has it scored again
+    assert (row.missing, whole.missing) == ((), (0,))
     identity = row.lines[0]["provenance"]["statistics"]["evaluator"]
     assert (identity["kind"], identity["variant"]) == ("redundant", "published")
 

@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except Interrupted as stop:
         print(f"stopped   {stop}", file=sys.stderr)
-        return int(stop.code)
+        return 128 + stop.signum
 
 
 def _function(command: str) -> Callable[[argparse.Namespace], int | None]:

@@ -49,7 +49,7 @@ def compare(options: argparse.Namespace) -> None:
         rows.append((name, *(own[name].text(3) if name in own else "" for own in scores)))
     for letter, one in zip(rows[0][1:], found, strict=True):
         print(f"{letter} = {one.folder.path}")
-    print(_aligned([row for row in rows if any(row)]))
+    print(_aligned([row for row in rows if any(row[1:])]))
 
 
 def _scores(one: Listed) -> str:

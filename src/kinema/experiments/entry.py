@@ -54,6 +54,7 @@ def evaluate(arguments: Sequence[str] | None = None) -> None:
 
 def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments: Sequence[str] | None) -> None:
     given, failed = sys.argv, []
+    asked = given[1:] if arguments is None else list(arguments)
 
     def job(cfg: DictConfig) -> float | None:
         # Lightning starts the processes of further devices with what sys.argv was; Hydra read a part of it.
@@ -64,7 +65,7 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
             return task(cfg)
         except Exception as error:
             if sweep:  # it must not end the others: they are listed when all are done
-                own = [o for o in HydraConfig.get().overrides.task if o not in sys.argv]
+                own = [o for o in HydraConfig.get().overrides.task if o not in asked]
                 failed.append(f"{' '.join(own)}: {_told(error)}")
                 raise
             if cfg.debug.enabled or not isinstance(error, EXPECTED):
@@ -72,11 +73,10 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
             sys.exit(f"error: {error}")
 
     register_resolvers()
-    if arguments is not None:
-        sys.argv = [given[0], *arguments]
+    sys.argv = [given[0], *asked]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises what it would print: `explain` names the options there are
     try:
-        refuse_absent_slurm(sys.argv)
+        refuse_absent_slurm(asked)
         with interruptible():
             hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
     except Interrupted as stop:

@@ -56,8 +56,9 @@ class Row:
 
     @property
     def lines(self) -> list[dict[str, Any]]:
-        """The results by replication, each at most once."""
-        found = {line["replication"]: line for line in scored_lines(self.folder.path)}
+        """The results by replication, each at most once; those that lack a judge's scores don't count."""
+        whole = [line for line in scored_lines(self.folder.path) if not self.judges.keys() & line.get("unread", ())]
+        found = {line["replication"]: line for line in whole}
         return [found[r] for r in range(self.replications) if r in found]
 
     def mean(self, metric: str) -> float:
@@ -104,9 +105,25 @@ def describe(cfg: DictConfig) -> Row:
     what += "_lifted" if cfg.lift else ""
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
+    read = {name: run for name, run in row.judges.items() if name not in unread(cfg)}
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
     split = cfg.data.options.get("split")
-    return replace(row, folder=run_folder(cfg, "evaluation", label, split, cfg.seed, fingerprint(identity)))
+    return replace(
+        row, judges=read, folder=run_folder(cfg, "evaluation", label, split, cfg.seed, fingerprint(identity))
+    )
+
+
+def unread(cfg: DictConfig) -> list[str]:
+    """Name the judges that a row neither trains nor asks; one that was imported for it is asked.
+
+    They are part of a row's identity all the same: it is the same row with fewer metrics.
+    """
+    optional = [stage.name for stage in judges().values() if stage.optional]
+    if not set(cfg.evaluator.unread) <= set(optional):
+        raise ValueError(
+            f"evaluator.unread={plain(cfg.evaluator.unread)}; it is a list of some of {', '.join(optional)}"
+        )
+    return [name for name in cfg.evaluator.unread if get_stage(name).given(cfg) is None]
 
 
 def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
@@ -235,6 +252,7 @@ class _Scoring:
             "breakdowns": result.breakdowns,
             "seconds": round(time.monotonic() - started, 2),
             "provenance": {**scorer.provenance, "versions": self.software},
+            **({"unread": names} if (names := unread(self.cfg)) else {}),
         }
         with folder.lock():
             append_line(folder.path / "replications.jsonl", line)

@@ -13,7 +13,7 @@ from typing import Any
 from rich.markup import escape
 
 from kinema.experiments.config import compose, refuse_absent_slurm
-from kinema.experiments.dashboards import show_table
+from kinema.experiments.dashboards import show_page, show_table
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.multirun import run_multiruns
@@ -71,7 +71,9 @@ def reproduce(name: str, overrides: list[str], **options: Any) -> None:
         if request.plan:
             console.print(f"plan      {name} is a page: what it lacks is known when it is made")
             return
-        _tell_written(make_page(request), request)
+        written = make_page(request)
+        _tell_written(written, request)
+        show_page(compose(request.shared, "evaluate"), name, fingerprint(request.command), written)
     else:
         _reproduce_table(load_table(name), request)
 

@@ -58,7 +58,7 @@ def save_mp4(motion: Motion, path: str | Path) -> Path:
             _draw_frame(axes, joints, frame, body, camera)
             _caption(axes, motion, frame)
             canvas.draw()
-            pipe.write(np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3]))
+            pipe.write(np.asarray(canvas.buffer_rgba())[..., :3].tobytes())
     return Path(path)
 
 
