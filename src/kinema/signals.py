@@ -30,18 +30,20 @@ class Interrupted(SystemExit):
 def interruptible() -> Iterator[None]:
     """Turn SIGTERM and Ctrl-C into Interrupted, so that what runs inside is ended in order.
 
-    Other threads than the main one get no signals: there it does nothing.
+    Whoever handles SIGTERM already (submitit, which puts its jobs into the queue again) goes on doing so. Other threads
+    than the main one get no signals.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, _interrupt)
+    main = threading.current_thread() is threading.main_thread()
+    mine = main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    if mine:
+        signal.signal(signal.SIGTERM, _interrupt)
     try:
         yield
     except KeyboardInterrupt:
         raise Interrupted(signal.SIGINT) from None
     finally:
-        signal.signal(signal.SIGTERM, before)
+        if mine:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def ended_by_signal(code: int) -> int | None:

@@ -186,15 +186,16 @@ def test_a_launcher_that_there_is_not_is_told_before_anything_runs(words, told, 
     assert not list(tmp_path.iterdir())
 
 
-def test_slurm_that_is_not_here_is_one_line(micro_tables, tmp_path, monkeypatch):
+def test_slurm_that_is_not_here_is_one_line(micro, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(reproduce, "load_table", lambda name: small("real"))
     monkeypatch.setattr(reproduce, "run_multiruns", lambda *_: pytest.fail("something ran"))
     line = "^error: launcher=slurm: there is no srun here; "
     with pytest.raises(SystemExit, match=line):
-        reproduce.main(["table5", *micro_tables, f"paths.runs={tmp_path}/runs", "launcher=slurm"])
+        reproduce.main(["table5", *micro, f"paths.runs={tmp_path}/runs", "launcher=slurm"])
     with pytest.raises(SystemExit, match=line):
         entry.train(["-m", "seed=0,1", "launcher=slurm"])
-    reproduce.main(["table5", *micro_tables, f"paths.runs={tmp_path}/runs", "launcher=slurm", "--plan"])
+    reproduce.main(["table5", *micro, f"paths.runs={tmp_path}/runs", "launcher=slurm", "--plan"])
 
 
 def test_a_sweep_goes_on_after_a_failed_job_and_lists_it(tmp_path, monkeypatch, capsys):

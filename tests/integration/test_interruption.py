@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -31,7 +32,7 @@ import sys
 from pathlib import Path
 from kinema.experiments import reproduce, tables
 whole = tables.load_table("table5")
-rows = [{**row, "overrides": []} for row in whole["rows"] if row["key"] == "reconstruction"]
+rows = [{**row, "overrides": []} for row in whole["rows"] if row.get("source") == "reconstruction"]
 reproduce.load_table = lambda name: {**whole, "rows": rows}
 if __name__ == "__main__":
     reproduce.main(["table5", "--jobs", "2", "--out", "report", *sys.argv[1:]])
@@ -49,7 +50,7 @@ def start(*command: str, log: Path, cwd: Path = ROOT) -> subprocess.Popen:
 def interrupt(process: subprocess.Popen, runs: Path, signum: int) -> int:
     """Send the signal once a tokenizer has saved a checkpoint, and give the exit code."""
     while process.poll() is None and not list(runs.glob("tokenizer/*/checkpoints/last.ckpt")):
-        with pytest.raises(subprocess.TimeoutExpired):
+        with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.05)
     process.send_signal(signum)
     return process.wait(120)

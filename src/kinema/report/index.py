@@ -30,7 +30,7 @@ def write_site(reports: str | Path) -> list[Path]:
     pages = {f.name: _read(f / "page.json") for f in folders if (f / "page.json").exists()}
     others = [f for f in folders if f.name not in {*tables, *pages} and any(f.glob("*.md"))]
     if not (tables or pages or others):
-        raise FileNotFoundError(f"{reports} holds no report; make one: `kinema reproduce table5`")
+        raise FileNotFoundError(f"{reports.absolute()} holds no report; make one: `kinema reproduce table5`")
     groups = [g for name, content in tables.items() if (g := group_of(content.table, f"{name}/"))]
     groups += [moved(told["motions"], f"{name}/") for name, told in pages.items() if "motions" in told]
     parts = [

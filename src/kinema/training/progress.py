@@ -6,6 +6,7 @@ from typing import Any
 
 from lightning.pytorch import LightningModule, Trainer
 from lightning.pytorch.callbacks import ProgressBar, RichProgressBar, TQDMProgressBar
+from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 
 
 class Steps(ProgressBar):
@@ -32,3 +33,9 @@ class StepProgress(Steps, RichProgressBar):
 
 class PlainProgress(Steps, TQDMProgressBar):
     """Count steps on a plain line."""
+
+    def init_train_tqdm(self) -> Tqdm:
+        """Say how many steps there are: Lightning does so at an epoch's start, which a resumed run has behind it."""
+        bar = super().init_train_tqdm()
+        bar.total = self.total_train_batches
+        return bar
