@@ -15,12 +15,13 @@ import pytest
 from kinema.experiments import entry, reproduce
 from kinema.experiments import run as running
 from kinema.experiments.config import CONF, compose
-from kinema.experiments.evaluation import describe, run_evaluation, scored_lines
+from kinema.experiments.evaluation import describe, run_evaluation, scored_lines, tell_means
 from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.multirun import sweeps
 from kinema.experiments.plan import estimate
 from kinema.experiments.request import Request
 from kinema.experiments.tables import load_table, plan, render_table
+from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line
 
@@ -93,6 +94,14 @@ def scored(place, **metrics: float) -> None:
         found = {name: value + replication for name, value in metrics.items()}
         line = {"replication": replication, "metrics": found, "breakdowns": {}, "seconds": 1.0, "provenance": facts}
         append_line(place.folder.path / "replications.jsonl", line)
+
+
+def test_the_means_are_told_with_their_intervals_when_all_replications_are_there(micro, tmp_path):
+    (row,) = plan(small("real"), [*micro, f"paths.runs={tmp_path}"])
+    scored(row.place, fid=1.0, turn_ratio=0.5)
+    with console.capture() as said:
+        tell_means(row.place)
+    assert said.get() == "mean      of 2: fid 1.500 ± 6.353\n"
 
 
 def test_a_row_of_several_seeds_is_shown_as_one(micro, tmp_path):

@@ -18,6 +18,7 @@ from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
 from kinema.runs.lines import read_lines
 from kinema.runs.weights import load, read_meta
+from kinema.training.fit import Machine
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 ROOT = Path(__file__).resolve().parents[2]
@@ -145,6 +146,15 @@ def test_the_redundant_judge_reads_real_motion(brief):
     assert (row.missing, whole.missing) == ((), (0,))
     identity = row.lines[0]["provenance"]["statistics"]["evaluator"]
     assert (identity["kind"], identity["variant"]) == ("redundant", "published")
+
+
+@pytest.mark.parametrize("accelerator", ["cpu", "auto"])
+def test_a_cpu_does_not_compute_in_bf16_under_the_name_of_fp16(accelerator, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    with pytest.raises(ValueError, match=r"precision=16-mixed on a CPU computes in bf16.*bf16-mixed or 32-true"):
+        Machine(accelerator=accelerator, precision="16-mixed")
+    assert Machine(accelerator=accelerator, precision="bf16-mixed").precision == "bf16-mixed"
 
 
 def test_debug_runs_are_short_and_kept_apart(overrides, tmp_path):

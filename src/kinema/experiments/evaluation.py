@@ -171,13 +171,13 @@ def run_evaluation(cfg: DictConfig) -> Row:
                         scoring.score(replication)
     if len(row.lines) == row.replications:
         row.folder.mark("done", versions=versions())
-        _tell_means(row)
+        tell_means(row)
         with row.folder.lock():
             show_results(cfg, row.folder, anew=True)
     return row
 
 
-def _tell_means(row: Row) -> None:
+def tell_means(row: Row) -> None:
     """Print the means over all replications, with their 95 % intervals."""
     found = means([line["metrics"] for line in row.lines])
     shown = ", ".join(f"{name} {found[name].text(3)}" for name in TOLD if name in found)

@@ -17,6 +17,7 @@ from kinema.locks import attempt
 from kinema.report.intervals import Value, means
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import read_lines
+from kinema.runs.parts import GENERATOR
 
 EVALUATION = "evaluation"
 SHARED = ("representation", "text", "data.options", "trainer.precision", "scale.protocol")
@@ -72,7 +73,7 @@ class Listed:
     @property
     def node(self) -> str:
         """Name the part of the configuration that describes it."""
-        return stages()[self.kind].node if self.kind in stages() else "generator"
+        return stages()[self.kind].node if self.kind in stages() else GENERATOR
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -98,7 +99,7 @@ class Listed:
         """Say all of it as plain data; nothing for a folder that is no run's."""
         if not any((self.folder.path / name).is_file() for name in ("status.json", "config.yaml")):
             return {}
-        scores = {name: value.text(3) for name, value in self.scores().items()}
+        scores = {name: {"mean": value.mean, "interval": value.half} for name, value in self.scores().items()}
         found = {"state": self.state, "progress": self.progress, "scores": scores, "provenance": self.provenance}
         return {key: value for key, value in found.items() if value}
 
@@ -135,7 +136,7 @@ def judged(root: Path) -> dict[str, Listed]:
     found = {}
     for file in sorted((root / EVALUATION).glob("generation-*/replications.jsonl"), key=lambda f: f.stat().st_mtime_ns):
         one = Listed(RunFolder(file.parent))
-        if one.lines and (name := one.lines[0]["provenance"]["runs"].get("generator")):
+        if one.lines and (name := one.lines[0]["provenance"]["runs"].get(GENERATOR)):
             found[name] = one
     return found
 
