@@ -24,20 +24,9 @@ CHECKER = (
     "int: int | __import__('numpy').integer, float: float | int | __import__('numpy').number, "
     "__import__('typing').Self: object})))"
 )
-CHECKED = ("types", "atomic", "files", "locks", "seeds", "devices", "registry", "masking", "nn", "motion", "data")
-CHECKED += (
-    "diffusion",
-    "decoding",
-    "runs",
-    "pipeline",
-    "evaluation",
-    "report",
-    "experiments",
-    "cli",
-    "generators",
-    "tokenizers",
-)
-CHECKED += ("tokenizers", "interop")
+CHECKED = ("types", "atomic", "files", "locks", "seeds", "signals", "devices", "registry", "masking", "nn", "motion")
+CHECKED += ("data", "diffusion", "decoding", "runs", "pipeline", "evaluation", "report", "experiments", "cli")
+CHECKED += ("generators", "tokenizers", "interop")
 CHECKED += tuple(
     f"training.{name}"
     for name in (

@@ -18,7 +18,19 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "options", "atomic", "files", "locks", "seeds", "devices", "registry", "nn", "masking"}
+FOUNDATION = {
+    "types",
+    "options",
+    "atomic",
+    "files",
+    "locks",
+    "seeds",
+    "signals",
+    "devices",
+    "registry",
+    "nn",
+    "masking",
+}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
@@ -29,6 +41,7 @@ MAY_IMPORT = {
     "files": set(),
     "locks": set(),
     "seeds": {"options"},
+    "signals": set(),
     "devices": set(),
     "registry": set(),
     "masking": {"types"},
@@ -40,7 +53,7 @@ MAY_IMPORT = {
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
     "generators": {*MODEL, "text", "tokenizers"},
-    "runs": {"options", "atomic", "files", "locks", "registry"},
+    "runs": {"options", "atomic", "files", "locks", "registry", "signals"},
     "report": {"types", "atomic", "files", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}

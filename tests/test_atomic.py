@@ -39,6 +39,18 @@ def test_files_and_folders_are_for_others_to_read_as_the_umask_says(tmp_path):
     assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
 
 
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "old").touch()
+    with pytest.raises(RuntimeError, match="on the way"):
+        fail_within(new_folder(tmp_path / "a", replace=True), half_folder)
+    assert [f.name for f in (tmp_path / "a").iterdir()] == ["old"]
+    with new_folder(tmp_path / "a", replace=True) as staging:
+        (staging / "new").touch()
+    assert [f.name for f in (tmp_path / "a").iterdir()] == ["new"]
+    assert [f.name for f in tmp_path.iterdir()] == ["a"]
+
+
 def fail_within(context, write):
     with context as temporary:
         write(temporary)

@@ -131,6 +131,16 @@ def test_several_texts_give_several_files_or_one_page(run):
     assert load_npy("clip-2.npy").shape == (8, 22, 3)
 
 
+def test_a_text_gives_as_many_motions_as_are_asked_for(run, capsys):
+    make = ["generate", "a person walks", "a man bows", "--run", str(run), "--frames", "8", "--seed", "1", *FAST]
+    assert cli.main([*make, "--count", "2", "--out", "m.npz"]) == 0
+    made = [load_npz(f"m-{i}.npz") for i in (1, 2, 3, 4)]
+    assert [motion.text for motion in made] == ["a person walks"] * 2 + ["a man bows"] * 2
+    assert not np.array_equal(made[0].joints, made[1].joints)
+    fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "--count 0; it must be at least 1")
+    fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "1 with --chain")
+
+
 def test_joints_can_be_edited(run):
     from kinema.data.synthetic import synthetic_clips
 

@@ -67,17 +67,20 @@ def staging_folder(path: str | Path, *, sole: bool = False) -> Iterator[Path]:
 
 
 @contextmanager
-def new_folder(path: str | Path, *, sole: bool = False) -> Iterator[Path]:
+def new_folder(path: str | Path, *, sole: bool = False, replace: bool = False) -> Iterator[Path]:
     """Yield a folder that becomes `path` on success and vanishes on failure.
 
-    Raises ValueError if `path` exists.
+    Raises ValueError if `path` exists, unless it is to be replaced.
     """
     path = Path(path)
-    if path.exists():
+    if path.exists() and not replace:
         raise ValueError(f"{path} exists; choose another folder or remove it")
     with staging_folder(path, sole=sole) as staging:
         yield staging
-        os.replace(staging, path)
+        with staging_folder(path) as before:
+            if path.exists():
+                os.replace(path, before / path.name)
+            os.replace(staging, path)
 
 
 def write_text(path: str | Path, text: str) -> Path:

@@ -5,19 +5,24 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import stat
 import sys
 from pathlib import Path
 
 import pytest
 
-from kinema.experiments import reproduce
+from kinema.experiments import entry, reproduce
+from kinema.experiments import run as running
 from kinema.experiments.config import CONF, compose
-from kinema.experiments.evaluation import describe, run_evaluation, scored_lines
+from kinema.experiments.evaluation import describe, run_evaluation, scored_lines, tell_means
 from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.multirun import sweeps
 from kinema.experiments.plan import estimate
+from kinema.experiments.request import Request
 from kinema.experiments.tables import load_table, plan, render_table
+from kinema.runs.console import console
+from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line
 
 STUDIES = sorted(file.stem for file in (CONF / "study").glob("*.yaml"))
@@ -91,6 +96,14 @@ def scored(place, **metrics: float) -> None:
         append_line(place.folder.path / "replications.jsonl", line)
 
 
+def test_the_means_are_told_with_their_intervals_when_all_replications_are_there(micro, tmp_path):
+    (row,) = plan(small("real"), [*micro, f"paths.runs={tmp_path}"])
+    scored(row.place, fid=1.0, turn_ratio=0.5)
+    with console.capture() as said:
+        tell_means(row.place)
+    assert said.get() == "mean      of 2: fid 1.500 ± 6.353\n"
+
+
 def test_a_row_of_several_seeds_is_shown_as_one(micro, tmp_path):
     table = small("real", "mardm_sit")
     rows = plan(table, [*micro, f"paths.runs={tmp_path}"], seeds=3)
@@ -156,6 +169,64 @@ def test_optuna_tries_what_the_results_of_val_suggest(script, tmp_path):
     refused = script("evaluate.py", "source=real", "objective=fid", check=False)
     assert refused.returncode == 2
     assert "only val selects: set scale.protocol.split=val" in refused.stderr
+
+
+def test_what_is_hydras_goes_to_the_multiruns_alone():
+    given = ("data=synthetic", "launcher=slurm", "hydra.launcher.partition=gpu", "+hydra.launcher.account=me")
+    given += ("hydra.sweep.dir=sweep", "hydra.searchpath=[file://conf]", "seed=1")
+    request = Request("table5", given)
+    assert request.shared == ["data=synthetic", "hydra.searchpath=[file://conf]", "seed=1"]
+    assert request.launcher == [o for o in given if o not in request.shared]
+    assert Request("table5", ("launcher=local", "hydra.sweep.dir=sweep")).launcher == []
+
+
+@pytest.mark.parametrize("how", [["--plan"], []])
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["launcher=sloorm"], "launcher=sloorm is no option; launcher has joblib, local, slurm, submitit_local"),
+        (["launcher=slurm", "hydra.launcher.partitions=gpu"], "hydra.launcher.partitions"),
+    ],
+)
+def test_a_launcher_that_there_is_not_is_told_before_anything_runs(words, told, how, micro, tmp_path, monkeypatch):
+    monkeypatch.setattr(reproduce, "run_multiruns", lambda *_: pytest.fail("something ran"))
+    with pytest.raises(SystemExit, match=f"^error: .*{re.escape(told)}"):
+        reproduce.main(["table5", *micro, f"paths.runs={tmp_path}", *words, *how])
+    assert not list(tmp_path.iterdir())
+
+
+def test_slurm_that_is_not_here_is_one_line(micro, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(reproduce, "load_table", lambda name: small("real"))
+    monkeypatch.setattr(reproduce, "run_multiruns", lambda *_: pytest.fail("something ran"))
+    line = "^error: launcher=slurm: there is no srun here; "
+    with pytest.raises(SystemExit, match=line):
+        reproduce.main(["table5", *micro, f"paths.runs={tmp_path}/runs", "launcher=slurm"])
+    with pytest.raises(SystemExit, match=line):
+        entry.train(["-m", "seed=0,1", "launcher=slurm"])
+    reproduce.main(["table5", *micro, f"paths.runs={tmp_path}/runs", "launcher=slurm", "--plan"])
+
+
+def test_a_sweep_goes_on_after_a_failed_job_and_lists_it(tmp_path, monkeypatch, capsys):
+    seen = []
+
+    def run_stage(cfg, stage):
+        seen.append(cfg.seed)
+        if cfg.seed == 0:
+            raise ValueError("lr=3 is [too] much")
+        if cfg.seed == 1:
+            raise RuntimeError("out of memory")
+        return RunFolder(tmp_path)
+
+    monkeypatch.setattr(running, "run_stage", run_stage)
+    with pytest.raises(SystemExit) as ended:
+        entry.train(["-m", "seed=0,1,2", "stage=tokenizer", f"hydra.sweep.dir={tmp_path}/sweep"])
+    assert seen == [0, 1, 2]
+    listed = "error: 2 of the sweep's jobs failed, the others are done:\n  seed=0: lr=3 is [too] much\n  seed=1: "
+    assert ended.value.code == listed + "RuntimeError('out of memory')"
+    captured = capsys.readouterr()
+    assert "failed    lr=3 is [too] much\n" in captured.out
+    assert 'raise RuntimeError("out of memory")' in captured.err
 
 
 SBATCH = """#!{python}

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 
 from kinema.experiments.config import compose
-from kinema.experiments.dashboards import show_table
+from kinema.experiments.dashboards import show_page, show_table
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.previews import films_here
 from kinema.experiments.run import run_stage, stage_folder
@@ -277,6 +277,16 @@ def test_a_table_is_shown_with_the_published_numbers(overrides, tmp_path):
     assert shown["data"] == [["mdm", ".5", ".518"]]
     (run,) = [r.run for r in wandb_records(tmp_path) if r.WhichOneof("record_type") == "run"]
     assert (run.run_group, run.job_type) == ("table5", "table")
+
+
+def test_a_page_is_shown(overrides, tmp_path):
+    (tmp_path / "index.html").write_text("<p>curves")
+    show_page(compose([*overrides, *SHORT], "evaluate"), "solvers", "0123456789ab", [tmp_path / "index.html"])
+    (text,) = events(tmp_path).Tensors("solvers/text_summary")
+    assert text.tensor_proto.string_val[0].decode() == f"`{tmp_path / 'index.html'}`"
+    assert [row for row in wandb_rows(tmp_path).values() if "solvers/path" in row]
+    (run,) = [r.run for r in wandb_records(tmp_path) if r.WhichOneof("record_type") == "run"]
+    assert (run.run_group, run.job_type) == ("solvers", "page")
 
 
 def test_weights_are_kept_as_an_artifact_if_asked_for(overrides):

@@ -18,6 +18,7 @@ from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
 from kinema.runs.lines import read_lines
 from kinema.runs.weights import load, read_meta
+from kinema.training.fit import Machine
 
 COMPILER = shutil.which("g++") or shutil.which("c++") or shutil.which("clang++")
 ROOT = Path(__file__).resolve().parents[2]
@@ -137,9 +138,23 @@ def test_the_redundant_judge_reads_real_motion(brief):
     redundant = [*brief, "evaluator=redundant", "scale.protocol.replications=1", "source=real"]
     metrics = judged(compose(redundant, "evaluate"))
     assert metrics["fid"] == pytest.approx(0, abs=1e-2)
+    assert "clip_score" not in metrics  # no table reads it: its evaluator is neither trained nor asked
     row = describe(compose(redundant, "evaluate"))
+    assert list(row.judges) == ["matching"]
+    whole = describe(compose([*redundant, "evaluator.unread=[]"], "evaluate"))
+    assert whole.folder == row.folder  # the same row: who wants all of its metrics has it scored again
+    assert (row.missing, whole.missing) == ((), (0,))
     identity = row.lines[0]["provenance"]["statistics"]["evaluator"]
     assert (identity["kind"], identity["variant"]) == ("redundant", "published")
+
+
+@pytest.mark.parametrize("accelerator", ["cpu", "auto"])
+def test_a_cpu_does_not_compute_in_bf16_under_the_name_of_fp16(accelerator, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    with pytest.raises(ValueError, match=r"precision=16-mixed on a CPU computes in bf16.*bf16-mixed or 32-true"):
+        Machine(accelerator=accelerator, precision="16-mixed")
+    assert Machine(accelerator=accelerator, precision="bf16-mixed").precision == "bf16-mixed"
 
 
 def test_debug_runs_are_short_and_kept_apart(overrides, tmp_path):
@@ -149,9 +164,3 @@ def test_debug_runs_are_short_and_kept_apart(overrides, tmp_path):
     assert not (tmp_path / "runs").exists()
     links = json.loads((Path(run.path) / "upstream.json").read_text())
     assert all((run.path / link / "weights.safetensors").exists() for link in links.values())
-
-
-def test_a_diverged_run_is_not_taken_for_a_finished_one(overrides):
-    cfg = compose([*overrides, "tokenizer.train.lr=1e30", "tokenizer.train.decay=milestones"])
-    with pytest.raises(ValueError, match="diverged"):
-        run_stage(cfg, "tokenizer")

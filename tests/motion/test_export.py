@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -62,11 +64,48 @@ def test_mp4_has_the_frames_and_rate(wander, tmp_path, skeleton):
         assert (frames[0][..., channel].astype(int) - frames[0][..., other] > 80).sum() > 100
 
 
+FULL = """
+import resource, sys
+import numpy as np
+from kinema.motion import export
+from kinema.motion.formats.arrays import load_npz
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+export.save(load_npz(sys.argv[1] + "/m.npz"), sys.argv[1] + "/film.mp4")
+"""
+
+
+@pytest.mark.parametrize("most", [0, 2000])
+def test_a_film_that_finds_no_room_is_an_error_and_leaves_nothing(motion, tmp_path, most):
+    """A disk that is full at once, and one that is full in the middle: the system refuses files above a size."""
+    pytest.importorskip("imageio_ffmpeg", reason="pip install 'kinema[viz]'")
+    export.save(motion, tmp_path / "m.npz")
+    (tmp_path / "film.mp4").write_bytes(b"an older film")
+    ended = subprocess.run([sys.executable, "-c", FULL, tmp_path, str(most)], capture_output=True, text=True)
+    assert ended.returncode != 0
+    assert f"OSError: could not write {tmp_path}/film.mp4: " in ended.stderr, ended.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "m.npz"]
+    assert (tmp_path / "film.mp4").read_bytes() == b"an older film"
+
+
 def test_strip_is_one_wide_picture(motion, tmp_path):
     image = pytest.importorskip("matplotlib.image", reason="pip install 'kinema[viz]'")
     height, width, _ = image.imread(export.save(motion, tmp_path / "strip.png")).shape
     assert height == 500
     assert width > 2 * height
+
+
+def test_a_strip_shows_travel(motion, tmp_path):
+    image = pytest.importorskip("matplotlib.image", reason="pip install 'kinema[viz]'")
+    here = np.repeat(motion.joints[:1], 12, axis=0)
+    away = here + np.linspace(0, 3, 12, dtype=np.float32)[:, None, None] * np.array([0, 0, 1], np.float32)
+    pictures = [
+        image.imread(export.save(replace(motion, joints=joints), tmp_path / f"{i}.png"))
+        for i, joints in enumerate((here, away))
+    ]
+    still, moving = (picture.shape[1] for picture in pictures)
+    assert moving > still * 1.1  # the way from above, at the right
+    blue = (pictures[1][:, still:, 2] - pictures[1][:, still:, 0]) > 0.4
+    assert np.ptp(np.nonzero(blue)[0]) > 3 * np.ptp(np.nonzero(blue)[1])  # it went straight ahead: up
 
 
 def test_unknown_suffix_names_the_known(motion, tmp_path):

@@ -102,6 +102,7 @@ def test_all_formats_hold_ours_and_the_papers(table, tmp_path):
     assert list(files) == ["table.md", "table.csv", "table.tex", "table.json", "index.html"]
     assert "| A | 2 | 0.510 ± 0.127 |" in files["table.md"]
     assert "*0.500 ± 0.004* | *0.11*" in files["table.md"]
+    assert r"\usepackage{booktabs}" in files["table.tex"]  # what \toprule is of
     assert r"A & 2 & $0.510 \pm 0.127$" in files["table.tex"]
     assert r"B\_\%" in files["table.tex"]
     assert "0.510<i> ± 0.127</i>" in files["index.html"]

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from kinema import __version__
+from kinema.signals import Interrupted, interruptible
 
 TOKENIZERS = ("mardm-ae", "t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq", "frames", "mld-vae")
 GENERATORS = (
@@ -34,6 +36,7 @@ KINDS = (
     "t2m-decomposition",
     "clip-evaluator",
 )
+SHELLS = ("bash", "zsh")
 PARTS = ("upper", "lower")
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
 EXPERIMENTS = {
@@ -65,9 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if hasattr(options, "set"):
             options.set = _settings(options.set)
-        from kinema.cli import commands  # here, so that --help answers at once
-
-        return getattr(commands, options.command)(options) or 0
+        with interruptible():
+            code = _function(options.command)(options) or 0
+        sys.stdout.flush()  # here, so that a reader that is gone is noticed
+        return code
+    except BrokenPipeError:  # `kinema info RUN | head`: who reads has enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141  # what a shell says of one that SIGPIPE ended
     except (ValueError, OSError, ImportError) as error:
         if options.debug:
             raise
@@ -75,8 +82,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        return 130
+    except Interrupted as stop:
+        print(f"stopped   {stop}", file=sys.stderr)
+        return 128 + stop.signum
+
+
+def _function(command: str) -> Callable[[argparse.Namespace], int | None]:
+    """Import what does a command: here, so that --help answers at once."""
+    module, _, function = command.rpartition(":")
+    return getattr(importlib.import_module(f"kinema.cli.{module or 'commands'}"), function)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -98,6 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("text", nargs="+", help="what the person does; several texts give several motions")
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
     make.add_argument("--frames", type=int, help="length in frames")
+    make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument("--motion", required=True, help=".npz that generate wrote, or joints (T, J, 3) as .npy")
@@ -152,9 +167,22 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
+    _add_runs(add)
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
     return parser
+
+
+def _add_runs(add: Callable[[str, str, str], argparse.ArgumentParser]) -> None:
+    """Add what looks at runs and at the command itself."""
+    listing = add("runs", "list runs: state, step, scores, and what tells them apart", "runs:runs")
+    listing.add_argument("words", nargs="*", help="words that stage, name or state hold: generator tiny failed")
+    listing.add_argument("--root", metavar="FOLDER", help="folder of runs (default: KINEMA_RUNS, else runs)")
+    two = add("compare", "say in what runs differ: settings, progress, scores", "runs:compare")
+    two.add_argument("runs", nargs="+", metavar="RUN", help=RUN_HELP)
+    what = 'print what completes `kinema`: eval "$(kinema completion bash)"'
+    shell = add("completion", what, "completion:completion")
+    shell.add_argument("shell", choices=SHELLS)
 
 
 def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:

@@ -16,6 +16,7 @@ from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.listing import Listed
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
 from kinema.motion.features import extract
@@ -39,14 +40,17 @@ from kinema.types import Motion
 
 def generate(options: argparse.Namespace) -> None:
     """Generate one motion per text, or one long motion of all."""
-    files = _files(options.out, 1 if options.chain else len(options.text))
+    if options.count < 1 or (options.chain and options.count > 1):
+        raise ValueError(f"--count {options.count}; it must be at least 1, and 1 with --chain")
+    texts = [text for text in options.text for _ in range(options.count)]
+    files = _files(options.out, 1 if options.chain else len(texts))
     model = _model(options)
     model.changed_sampling(options.set)  # before its names can stand for other arguments
     lengths = {"frames": options.frames, "seconds": options.seconds}
     if options.chain:
         _write([model.chain(options.text, **lengths, seed=options.seed, **options.set)], files)
         return
-    _write(model.generate(options.text, **lengths, seed=options.seed, **options.set), files)
+    _write(model.generate(texts, **lengths, seed=options.seed, **options.set), files)
 
 
 def edit(options: argparse.Namespace) -> None:
@@ -155,14 +159,16 @@ def site(options: argparse.Namespace) -> None:
 
 
 def info(options: argparse.Namespace) -> None:
-    """Describe a run folder or a weights file; without one, what a bug report should say."""
+    """Describe a run folder, whatever its state, or a weights file; without one, what a bug report should say."""
     if options.run is None:
         print(json.dumps({**versions(), "system": platform.platform(), "cuda": torch.version.cuda}, indent=2))
         return
     path = find_run(options.run)
     file = RunFolder(path).weights if path.is_dir() else path
-    meta = weights.read_meta(file)
-    parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
+    parts = Listed(RunFolder(path)).describe() if path.is_dir() else {}
+    if file.exists() or not parts:
+        meta = weights.read_meta(file)
+        parts |= {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
         if found := read_about(path / f"{name}.json", dict):
             parts[name] = found

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from rich.markup import escape
 from torch import Tensor
 
 from kinema.atomic import replacing
@@ -51,7 +50,7 @@ class Shelf:
             try:
                 self._known = read_npz(path, fix="it is computed anew")
             except DamagedError as error:
-                console.print(f"[yellow]note[/]      {escape(str(error))}")
+                console.print(f"[yellow]note[/]      {error!s}")
 
     def get(self, key: str, compute: Callable[[], Tensor], device: torch.device) -> Tensor:
         """Return the embeddings under a key; compute them once."""

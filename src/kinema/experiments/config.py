@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, cast
 
@@ -123,6 +125,15 @@ def _check_scoring(cfg: DictConfig) -> None:
         raise ValueError(
             f"objective={cfg.objective} with scale.protocol.split={cfg.scale.protocol.split}; only val selects: set "
             "scale.protocol.split=val"
+        )
+
+
+def refuse_absent_slurm(words: Iterable[str]) -> None:
+    """Raise FileNotFoundError where overrides choose Slurm on a machine that hasn't got it."""
+    if {"launcher=slurm", "hydra/launcher=submitit_slurm"} & set(words) and shutil.which("srun") is None:
+        raise FileNotFoundError(
+            "launcher=slurm: there is no srun here; start it on a machine of the cluster, or choose "
+            "launcher=submitit_local, joblib or local"
         )
 
 

@@ -94,11 +94,26 @@ def show_table(cfg: DictConfig, name: str, identity: str, written: Sequence[Path
     folder = files["table.csv"].parent
     with files["table.csv"].open(newline="", encoding="utf-8") as file:
         rows = list(csv.reader(file))
-    label = f"{name}-{cfg.data.name}-{cfg.scale.name}-s{cfg.seed}-{identity}"
-    with opened(cfg, asked, folder, label, "table", name) as made:
+    with opened(cfg, asked, folder, _label(cfg, name, identity), "table", name) as made:
         for dashboard in made:
             dashboard.table(name, files["table.md"].read_text(encoding="utf-8"), rows)
     _tell(asked, folder)
+
+
+def show_page(cfg: DictConfig, name: str, identity: str, written: Sequence[Path]) -> None:
+    """Show a page that was written: curves, figures and players in one."""
+    asked = [kind for kind in kinds(cfg.logger.names) if kind.takes_results]
+    html = next((path for path in written if path.suffix == ".html"), None)
+    if html is None or not asked:
+        return
+    with opened(cfg, asked, html.parent, _label(cfg, name, identity), "page", name) as made:
+        for dashboard in made:
+            dashboard.page(0, name, html)
+    _tell(asked, html.parent)
+
+
+def _label(cfg: DictConfig, name: str, identity: str) -> str:
+    return f"{name}-{cfg.data.name}-{cfg.scale.name}-s{cfg.seed}-{identity}"
 
 
 def _tell(asked: Sequence[type[Dashboard]], folder: Path) -> None:

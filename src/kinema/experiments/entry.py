@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 
 import hydra
@@ -14,7 +15,8 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from kinema.experiments.config import CONF, explain, refuse_processes, register_resolvers
+from kinema.experiments.config import CONF, explain, refuse_absent_slurm, refuse_processes, register_resolvers
+from kinema.signals import Interrupted, interruptible
 
 EXPECTED = (ValueError, OSError, ImportError)
 """What a user can mend: told in one line."""
@@ -65,7 +67,8 @@ def evaluate(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments: Sequence[str] | None) -> None:
-    given = sys.argv
+    given, failed = sys.argv, []
+    asked = given[1:] if arguments is None else list(arguments)
 
     def job(cfg: DictConfig) -> float | None:
         # Lightning starts the processes of further devices with what sys.argv was; Hydra read a part of it.
@@ -74,26 +77,33 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
         try:
             refuse_processes(cfg, multirun=sweep)
             return task(cfg)
-        except EXPECTED as error:
-            if cfg.debug.enabled:
+        except Exception as error:
+            if sweep:  # it must not end the others: they are listed when all are done
+                own = [o for o in HydraConfig.get().overrides.task if o not in asked]
+                failed.append(f"{' '.join(own)}: {_told(error)}")
                 raise
-            if sweep:  # it must not end the others: Hydra tells it when all are done
-                from kinema.runs.console import console  # here: launchers pickle this function with what it names
-
-                console.print(f"[red]failed[/]    {error}")
+            if cfg.debug.enabled or not isinstance(error, EXPECTED):
                 raise
             sys.exit(_line(error))
 
     register_resolvers()
-    if arguments is not None:
-        sys.argv = [given[0], *arguments]
+    sys.argv = [given[0], *asked]
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises what it would print: `explain` names the options there are
     try:
-        hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
+        refuse_absent_slurm(asked)
+        with interruptible():
+            hydra.main(config_path=str(CONF), config_name=config_name, version_base="1.3")(job)()
+    except Interrupted as stop:
+        if not stop.told:
+            print(f"stopped   {stop}", file=sys.stderr)
+        raise
     except (HydraException, OmegaConfBaseException) as error:
         sys.exit(_line(explain(error)))
-    except EXPECTED as error:  # of a job of a sweep, told above
-        sys.exit(_line(error))
+    except Exception as error:  # of a job of a sweep; one that ran elsewhere isn't listed
+        if not failed and not isinstance(error, EXPECTED):
+            raise
+        listed = [f"{len(failed)} of the sweep's jobs failed, the others are done:", *failed]
+        sys.exit(_line("\n  ".join(listed) if failed else error))
     finally:
         sys.argv = given
 
@@ -103,3 +113,14 @@ def _line(error: object) -> str:
     from kinema.runs.console import printable  # here: --help must not pay for it
 
     return f"error: {printable(str(error))}"
+
+
+def _told(error: Exception) -> str:
+    """Tell at once why a job of a sweep failed, and return it as one line; of what nobody expects also where."""
+    from kinema.runs.console import console  # here: launchers pickle what a job names
+
+    if not isinstance(error, EXPECTED):
+        traceback.print_exception(error)
+    line = " ".join(str(error).split()) if isinstance(error, EXPECTED) else repr(error)
+    console.print(f"[red]failed[/]    {line}")
+    return line

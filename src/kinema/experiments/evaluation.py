@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-import traceback
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +23,7 @@ from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.locks import attempt
 from kinema.registry import find_class
+from kinema.report.intervals import means
 from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -32,6 +32,9 @@ from kinema.runs.versions import versions
 
 if TYPE_CHECKING:
     from kinema.experiments.scoring import Scorer
+
+TOLD = ("r1", "r2", "r3", "fid", "matching", "diversity", "multimodality", "clip_score", "mpjpe_mm")
+"""Metrics that are printed; the folder has all."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,9 @@ class Row:
 
     @property
     def lines(self) -> list[dict[str, Any]]:
-        """The results by replication, each at most once."""
-        found = {line["replication"]: line for line in scored_lines(self.folder.path)}
+        """The results by replication, each at most once; those that lack a judge's scores don't count."""
+        whole = [line for line in scored_lines(self.folder.path) if not self.judges.keys() & line.get("unread", ())]
+        found = {line["replication"]: line for line in whole}
         return [found[r] for r in range(self.replications) if r in found]
 
     def mean(self, metric: str) -> float:
@@ -100,9 +104,25 @@ def describe(cfg: DictConfig) -> Row:
     what += "_lifted" if cfg.lift else ""
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
+    read = {name: run for name, run in row.judges.items() if name not in unread(cfg)}
     label = "-".join(word for word in (what, *(who if row.subject else [])) if word)
     split = cfg.data.options.get("split")
-    return replace(row, folder=run_folder(cfg, "evaluation", label, split, cfg.seed, fingerprint(identity)))
+    return replace(
+        row, judges=read, folder=run_folder(cfg, "evaluation", label, split, cfg.seed, fingerprint(identity))
+    )
+
+
+def unread(cfg: DictConfig) -> list[str]:
+    """Name the judges that a row neither trains nor asks; one that was imported for it is asked.
+
+    They are part of a row's identity all the same: it is the same row with fewer metrics.
+    """
+    optional = [stage.name for stage in judges().values() if stage.optional]
+    if not set(cfg.evaluator.unread) <= set(optional):
+        raise ValueError(
+            f"evaluator.unread={plain(cfg.evaluator.unread)}; it is a list of some of {', '.join(optional)}"
+        )
+    return [name for name in cfg.evaluator.unread if get_stage(name).given(cfg) is None]
 
 
 def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
@@ -142,20 +162,25 @@ def run_evaluation(cfg: DictConfig) -> Row:
     for stage in _unfinished(cfg, row):
         run_stage(cfg, stage.name, quiet=True)
     scoring = _Scoring(cfg, row)
-    try:
+    with row.folder.marked_by_failure():
         for patient in (False, True):  # what another process is at is waited for when nothing else is left
             for replication in row.missing:
                 with attempt(row.folder.path / f".replication-{replication}.lock", wait=patient) as mine:
                     if mine and replication in row.missing:
                         scoring.score(replication)
-    except BaseException as error:
-        row.folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
-        raise
     if len(row.lines) == row.replications:
         row.folder.mark("done", versions=versions())
+        tell_means(row)
         with row.folder.lock():
             show_results(cfg, row.folder, anew=True)
     return row
+
+
+def tell_means(row: Row) -> None:
+    """Print the means over all replications, with their 95 % intervals."""
+    found = means([line["metrics"] for line in row.lines])
+    shown = ", ".join(f"{name} {found[name].text(3)}" for name in TOLD if name in found)
+    console.print(f"mean      of {row.replications}: {shown}")
 
 
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
@@ -258,6 +283,7 @@ class _Scoring:
             "breakdowns": result.breakdowns,
             "seconds": round(time.monotonic() - started, 2),
             "provenance": {**scorer.provenance, "versions": self.software},
+            **({"unread": names} if (names := unread(self.cfg)) else {}),
         }
         with folder.lock():
             append_line(folder.path / REPLICATIONS, line)

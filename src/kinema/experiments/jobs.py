@@ -5,8 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from kinema.experiments.stages.base import Stage
 from kinema.experiments.tables import TableRow
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
+from kinema.signals import Interrupted, interruptible
 
 TRAIN, EVALUATE = "train", "evaluate"
 
@@ -144,14 +146,15 @@ class JobsFailedError(OSError):
 def run_jobs(jobs: list[Job], count: int) -> None:
     """Run jobs in `count` processes that stay for all of them, so that imports are paid once.
 
-    A job that fails leaves out those that wait for it, and no other. Raises JobsFailedError when all the rest is done.
+    A job that fails leaves out those that wait for it, and no other. Raises JobsFailedError when all the rest is done,
+    and Interrupted, once all processes have ended, when this one or a job is interrupted.
     """
     waiting, unfinished = list(jobs), {job.makes for job in jobs}
     running: dict[Future[None], Job] = {}
     failed: dict[Job, BaseException] = {}
     left_out: list[Job] = []
     # Spawned, not forked: torch's threads would not survive a fork.
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool, _ended_with_this_one():
         while running or waiting:
             ready = [job for job in waiting if not job.reads & unfinished]
             for job in ready[: count - len(running)]:
@@ -163,6 +166,8 @@ def run_jobs(jobs: list[Job], count: int) -> None:
                 if (error := future.exception()) is None:
                     unfinished.discard(job.makes)
                     continue
+                if isinstance(error, Interrupted):
+                    raise error
                 console.print(f"[red]failed[/]    {job}: {_first_line(error)}")
                 failed[job] = error
                 # A process that was killed (for its memory, say) takes the pool with it.
@@ -171,6 +176,18 @@ def run_jobs(jobs: list[Job], count: int) -> None:
                 waiting = [other for other in waiting if other not in lost]
     if failed:
         raise JobsFailedError(failed, left_out) from next(iter(failed.values()))
+
+
+@contextmanager
+def _ended_with_this_one() -> Iterator[None]:
+    """End the processes of the pool in order when this one is interrupted: none goes on alone."""
+    try:
+        with interruptible():
+            yield
+    except Interrupted:
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
 
 
 def _waiting_for(job: Job, waiting: list[Job]) -> list[Job]:
@@ -190,13 +207,14 @@ def _first_line(error: BaseException) -> str:
 def work(job: Job, *, quiet: bool) -> None:
     """Do one job in this process; `quiet`: without a progress bar, since others print too."""
     bars = ["trainer.progress=none"] if quiet else []
-    cfg = compose([*bars, *job.overrides], job.command)
-    refuse_processes(cfg, multirun=True)
-    if job.command == TRAIN:
-        from kinema.experiments.run import run_stage
+    with interruptible():
+        cfg = compose([*bars, *job.overrides], job.command)
+        refuse_processes(cfg, multirun=True)
+        if job.command == TRAIN:
+            from kinema.experiments.run import run_stage
 
-        run_stage(cfg, cfg.stage)
-    else:
-        from kinema.experiments.evaluation import run_evaluation
+            run_stage(cfg, cfg.stage)
+        else:
+            from kinema.experiments.evaluation import run_evaluation
 
-        run_evaluation(cfg)
+            run_evaluation(cfg)

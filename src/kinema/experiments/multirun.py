@@ -9,6 +9,7 @@ from pathlib import Path
 
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError
 from kinema.runs.console import console
+from kinema.signals import Interrupted, ended_by_signal, interruptible
 
 JOINED = ("method", "seed", "replications", "stage", "source")
 """Overrides in which the jobs of one multirun may differ."""
@@ -17,7 +18,8 @@ JOINED = ("method", "seed", "replications", "stage", "source")
 def run_multiruns(jobs: list[Job], overrides: list[str]) -> None:
     """Run jobs under the launcher that the overrides name; the jobs' own overrides come on top.
 
-    A job that fails leaves out those that wait for it, and no other. Raises JobsFailedError when all the rest is done.
+    A job that fails leaves out those that wait for it, and no other. Raises JobsFailedError when all the rest is done,
+    and Interrupted when this process or a multirun is interrupted.
     """
     failed: dict[Job, BaseException] = {}
     left_out: list[Job] = []
@@ -29,13 +31,26 @@ def run_multiruns(jobs: list[Job], overrides: list[str]) -> None:
         for choices in sweeps(ready):
             words = [command, "-m", *overrides, *choices]
             console.print(f"[bold]run[/]       kinema {' '.join(words)}")
-            # -P: a file of the user's in this directory must not be taken for a module of the same name.
-            subprocess.run([sys.executable, "-P", "-m", "kinema.cli", *words], check=False)
+            _run(words)
         broken = {job: OSError(reason) for job in ready if (reason := job.unfinished()) is not None}
         failed |= broken
         lost |= {job.makes for job in (*waiting, *broken)}
     if failed:
         raise JobsFailedError(failed, left_out)
+
+
+def _run(words: list[str]) -> None:
+    """Call kinema; an interrupted call interrupts this process, and the other way round."""
+    # -P: a file of the user's in this directory must not be taken for a module of the same name.
+    with subprocess.Popen([sys.executable, "-P", "-m", "kinema.cli", *words]) as process:
+        try:
+            with interruptible():
+                code = process.wait()
+        except Interrupted:
+            process.terminate()
+            raise
+    if (signum := ended_by_signal(code)) is not None:
+        raise Interrupted(signum)
 
 
 def steps(jobs: list[Job]) -> list[tuple[str, list[Job]]]:

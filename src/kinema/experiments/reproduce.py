@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from kinema.experiments.dashboards import show_table
+from kinema.experiments.config import compose, refuse_absent_slurm
+from kinema.experiments.dashboards import show_page, show_table
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.multirun import run_multiruns
@@ -23,6 +24,7 @@ from kinema.report.intervals import FORMS
 from kinema.runs.console import console, printable
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
+from kinema.signals import Interrupted, interruptible
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -47,7 +49,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--intervals", choices=FORMS, help="the 95 %% interval: Student's t, or 1.96 std / sqrt(n)")
     options = vars(parser.parse_intermixed_args(arguments))
     try:
-        reproduce(options.pop("name"), options.pop("overrides"), **options)
+        with interruptible():
+            reproduce(options.pop("name"), options.pop("overrides"), **options)
+    except Interrupted as stop:
+        print(f"stopped   {stop}; what is finished is kept", file=sys.stderr)
+        raise
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"error: {printable(str(error))}")
 
@@ -63,7 +69,9 @@ def reproduce(name: str, overrides: list[str], **options: Any) -> None:
         if request.plan:
             console.print(f"plan      {name} is a page: what it lacks is known when it is made")
             return
-        _tell_written(make_page(request), request)
+        written = make_page(request)
+        _tell_written(written, request)
+        show_page(compose(request.shared, "evaluate"), name, fingerprint(request.command), written)
     else:
         _reproduce_table(load_table(name), request)
 
@@ -74,6 +82,8 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
         return
     if request.intervals is not None:
         table["intervals"] = request.intervals
+    if request.launcher:
+        compose([*request.shared, *request.launcher])  # tells an unknown launcher, or option of it, before all else
     rows, own = plan(table, request.shared, request.seeds), table.get("overrides", [])
     if request.plan:
         print_plan(missing_jobs(rows, [*request.shared, *own], request.replications), rows)
@@ -92,7 +102,8 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     show_table(some, request.name, fingerprint(request.command), written)
     lacking = [row.label for row in rows if row.cfg is not None and not row.complete]
     if lacking:
-        console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)}")
+        looked = escape(str(Path(some.paths.runs).absolute()))
+        console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)} (in {looked})")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
     if failure is not None:
         raise failure
@@ -110,6 +121,7 @@ def run_missing(rows: list[TableRow], own: list[str], request: Request) -> None:
     """Run what is missing under the request's overrides and the table's own: here, or by the launcher they name."""
     shared = [*request.shared, *own]
     if request.launcher:
+        refuse_absent_slurm(request.launcher)
         run_multiruns(missing_jobs(rows, replications=request.replications), [*shared, *request.launcher])
         return
     count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))

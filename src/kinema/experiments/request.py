@@ -14,6 +14,9 @@ from kinema.report.intervals import Form
 HERE = "local"
 """The launcher that is none: jobs run in processes of this machine."""
 
+CHOICES = ("launcher=", "hydra/launcher=")
+HYDRAS = (*CHOICES, "hydra.", "hydra/")
+
 
 @dataclass(frozen=True)
 class Request:
@@ -41,14 +44,14 @@ class Request:
 
     @property
     def shared(self) -> list[str]:
-        """The overrides of every run: all but the launcher's."""
-        return [o for o in self.overrides if not o.startswith(("launcher=", "hydra.launcher."))]
+        """The overrides of every run: all but those of Hydra itself, which say where and how runs are started."""
+        return [o for o in self.overrides if not o.lstrip("+").startswith(HYDRAS) or "hydra.searchpath" in o]
 
     @property
     def launcher(self) -> list[str]:
-        """The overrides of Hydra's launcher; none where jobs run in processes of this machine."""
+        """The overrides of Hydra and its launcher; none where jobs run in processes of this machine."""
         own = [o for o in self.overrides if o not in self.shared]
-        return [] if set(own) <= {f"launcher={HERE}"} else own
+        return own if any(o.startswith(CHOICES) and o != f"launcher={HERE}" for o in own) else []
 
     @property
     def command(self) -> str:

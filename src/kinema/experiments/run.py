@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import time
-import traceback
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
@@ -143,11 +142,8 @@ def _make(
     write_text(folder.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(resolved)))
     link(folder.path, {name: run.path for name, run in (needs | beside).items()})
     folder.mark("running", versions=versions())
-    try:
+    with folder.marked_by_failure():
         result = stage.make(cfg, store, needs, folder)
-    except BaseException as error:
-        folder.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
-        raise
     folder.mark("done", **asdict(result))
     (folder.path / "checkpoints" / "last.ckpt").unlink(missing_ok=True)
     console.print(f"done      {folder.path} in {result.seconds:.0f} s")

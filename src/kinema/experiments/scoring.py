@@ -48,12 +48,13 @@ class Scorer:
         self.device = find_device(cfg.trainer.accelerator)
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
-        words = {key: stage.vocabulary(cfg) for key, stage in judges().items()}
+        asked = {key: stage for key, stage in judges().items() if stage.name in row.judges}
+        words = {key: stage.vocabulary(cfg) for key, stage in asked.items()}
         models = {
             key: read_model(row.judges[stage.name], stage.name).to(self.device).attach(words[key])
-            for key, stage in judges().items()
+            for key, stage in asked.items()
         }
-        self.matching, self.contrastive = models["t2m"], models["clip"]
+        self.matching, self.contrastive = models["t2m"], models.get("clip")
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.training = TrainingSet.embedded(self.store, self.matching, self.cache)
         source = self._source(row)
@@ -66,14 +67,14 @@ class Scorer:
         self.provenance = {
             "source": cfg.source,
             "runs": {k: v.name for k, v in sorted(row.runs.items())},
-            "evaluators": {stage.name: models[key].identity() for key, stage in judges().items()},
+            "evaluators": {stage.name: models[key].identity() for key, stage in asked.items()},
             "corpus": {"name": self.store.name, "hash": self.store.hash},
             "statistics": {
                 "corpus": self.store.statistics.digest(),
                 "evaluator": self.matching.representation.identity(),
             },
             "words": words["t2m"].identity,
-            "tokens": words["clip"].identity,
+            "tokens": words["clip"].identity if "clip" in words else None,
             "text_encoder": self.source.text_encoder.identity if self.source.text_encoder else None,
             "sampling": sampling,
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",

@@ -79,9 +79,14 @@ def write_parts(
     parts: Mapping[str, nn.Module],
     text: dict[str, Any],
     meta: dict[str, Any],
+    *,
+    replace: bool = False,
 ) -> None:
-    """Write a generator with `meta` and its parts as one folder, whole or not at all."""
-    with new_folder(path) as staging:
+    """Write a generator with `meta` and its parts as one folder, whole or not at all.
+
+    Raises ValueError if the folder exists; `replace`: if it holds no model.
+    """
+    with new_folder(path, replace=replace and RunFolder(path).weights.is_file()) as staging:
         _write(generator, staging, GENERATOR, **meta)
         for name, module in parts.items():
             _write(module, staging / name, name)

@@ -330,12 +330,15 @@ class TextToMotion:
         tokenizer, generator, encoder, loaded, meta = read_parts(find_run(path), find_device(device), beside)
         return cls(tokenizer, generator, encoder, loaded, meta)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the weights of all parts as one portable folder, whole or not at all; `from_run` loads it anywhere."""
+    def save(self, path: str | Path, *, replace: bool = False) -> Path:
+        """Write the weights of all parts as one portable folder, whole or not at all; `from_run` loads it anywhere.
+
+        `replace`: in place of a model that was saved there before. Raises ValueError for any other folder that exists.
+        """
         path = Path(path)
         if "text" not in self.meta:
             raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
         own = {"text": self.text_encoder.identity, "representation": self.tokenizer.representation.identity()}
         parts: dict[str, nn.Module] = {TOKENIZER: self.tokenizer, **self.parts}
-        write_parts(path, self.generator, parts, self.meta["text"], own)
+        write_parts(path, self.generator, parts, self.meta["text"], own, replace=replace)
         return path

@@ -33,7 +33,7 @@ def write_site(reports: str | Path) -> list[Path]:
     pages = [_page_of(f) for f in folders if (f / "page.json").exists()]
     others = [f for f in folders if f.name not in {made.name for made in (*tables, *pages)} and any(f.glob("*.md"))]
     if not (tables or pages or others):
-        raise FileNotFoundError(f"{reports} holds no report; make one: `kinema reproduce table5`")
+        raise FileNotFoundError(f"{reports.absolute()} holds no report; make one: `kinema reproduce table5`")
     groups = [made.motions for made in (*tables, *pages) if made.motions]
     parts = [
         f"<header class='kinema-page-head'><h1>{TITLE}</h1></header>",

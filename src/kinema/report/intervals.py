@@ -55,6 +55,13 @@ def measure(values: Sequence[float], form: Form = "student") -> Value | None:
     return Value(mean, quantile * math.sqrt(squares / (count - 1) / count), count)
 
 
+def means(metrics: Sequence[dict[str, float]]) -> dict[str, Value]:
+    """Return the mean and 95 % interval of each metric that all replications have."""
+    names = [name for name in (metrics[0] if metrics else {}) if all(name in found for found in metrics)]
+    values = {name: measure([found[name] for found in metrics]) for name in names}
+    return {name: value for name, value in values.items() if value is not None}
+
+
 def explain(form: Form, counts: Sequence[int]) -> str:
     """Say how the intervals of rows with these numbers of replications were computed."""
     published = "1.96 std / √n"

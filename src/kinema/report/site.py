@@ -126,6 +126,7 @@ def latex(table: dict[str, Any], main: Grid) -> str:
     return "\n".join(
         [
             f"% {escape.one_line(notice(table))}",
+            r"% needs \usepackage{booktabs}",
             r"\begin{tabular}{lr" + "c" * len(headings) + "}",
             r"\toprule",
             " & ".join(["", "$n$", *headings]) + r" \\",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
+import traceback
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ from kinema.atomic import write_json
 from kinema.files.json import NUMBER, Kind, read_json
 from kinema.locks import hold
 from kinema.runs.console import console
+from kinema.signals import Interrupted, interruptible
 
 MOST = 1 << 20
 """Bytes that a file about a run may have."""
@@ -49,9 +52,24 @@ class RunFolder:
         return self.path / "weights.safetensors"
 
     def mark(self, state: str, **values: Any) -> None:
-        """Record the state: pending | running | done | failed."""
+        """Record the state: pending | running | done | failed | interrupted."""
         kept = {k: v for k, v in self.status.items() if k != "error"}
         write_json(self.path / "status.json", {**kept, "state": state, **values})
+
+    @contextmanager
+    def marked_by_failure(self) -> Iterator[None]:
+        """Record that what is done inside failed, or was interrupted, and why."""
+        try:
+            with interruptible():
+                yield
+        except Interrupted as stop:
+            self.mark("interrupted", error=str(stop))
+            console.print(f"[yellow]stopped[/]   {self.path!s}: {stop}")
+            stop.told = True
+            raise
+        except BaseException as error:
+            self.mark("failed", error="".join(traceback.format_exception_only(error)).strip())
+            raise
 
     def lock(self) -> AbstractContextManager[None]:
         """Hold the run for this process; a second process waits (the system frees the lock of a killed one)."""

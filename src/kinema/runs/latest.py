@@ -34,5 +34,7 @@ def find_run(run: str | Path, root: str | Path | None = None) -> Path:
     if not found:
         known = sorted({f"{folder.parent.name}/{folder.name.rpartition('-')[0]}" for folder in finished})
         there = f"finished there: {', '.join(known)}" if known else "no run has finished there"
-        raise FileNotFoundError(f"{root} holds no finished run {wanted!r} ({there}); train it, or give a run's folder")
+        raise FileNotFoundError(
+            f"{root.absolute()} holds no finished run {wanted!r} ({there}); train it, or give a run's folder"
+        )
     return max(found, key=lambda folder: (folder / "status.json").stat().st_mtime_ns)

@@ -7,8 +7,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-
 from kinema.atomic import needing_room
 from kinema.files.json import Kind, parse_json
 from kinema.runs.console import console
@@ -39,7 +37,7 @@ def read_lines(path: Path, kind: Kind = dict) -> list[dict[str, Any]]:
         try:
             json.loads(text)
         except json.JSONDecodeError:
-            told = f"{escape(str(path))}:{number} is not a whole line (a killed process?); left out"
+            told = f"{path!s}:{number} is not a whole line (a killed process?); left out"
             console.print(f"[yellow]warning[/]   {told}")
             continue
         except (ValueError, RecursionError):

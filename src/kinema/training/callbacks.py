@@ -10,6 +10,7 @@ from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
 from torch import Tensor, nn
 
+from kinema.training.divergence import check_weights
 from kinema.training.modules import StageModule
 from kinema.training.pace import Pace
 from kinema.training.record import Record
@@ -108,20 +109,28 @@ class Checkpoints(Callback):
         self.path = path
         self.every = every
         self.validated_every = validated_every
+        self.step = 0
+        """The step that a run goes on from which ends now."""
 
-    def on_train_batch_end(self, trainer: Trainer, *_: Any) -> None:
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Remember what was resumed."""
+        self.step = trainer.global_step
+
+    def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         """Save if it is time."""
         if trainer.global_step % self.every == 0 and trainer.global_step % self.validated_every:
-            self._save(trainer)
+            self._save(trainer, pl_module)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Save what the validation selected."""
         if not trainer.sanity_checking:
-            self._save(trainer)
+            self._save(trainer, pl_module)
 
-    def _save(self, trainer: Trainer) -> None:
+    def _save(self, trainer: Trainer, module: LightningModule) -> None:
         if trainer.global_step < trainer.max_steps:
+            check_weights(module, trainer.global_step)
             trainer.save_checkpoint(self.path)
+            self.step = trainer.global_step
 
 
 class RunRecord(Callback):

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import logging
+import signal
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import torch
 from lightning.pytorch import Callback, LightningDataModule, Trainer
-from lightning.pytorch.callbacks import TQDMProgressBar
 from torch import Tensor
 
+from kinema.signals import Interrupted, interruptible
 from kinema.training.callbacks import EMA, BestWeights, Checkpoints, RunRecord, Selection
 from kinema.training.checkpoint import AtomicCheckpointIO
+from kinema.training.divergence import DivergedError, check_weights
 from kinema.training.machine import Machine
 from kinema.training.modules import StageModule
 from kinema.training.pace import Pace
-from kinema.training.progress import StepProgress
+from kinema.training.progress import PlainProgress, StepProgress
 from kinema.training.record import Record
 
 HARMLESS = (
@@ -34,7 +35,7 @@ HARMLESS = (
 )
 """Warnings of Lightning that say nothing of our runs: data come from a map, and batches follow from the step."""
 
-BARS = {"rich": StepProgress, "tqdm": TQDMProgressBar}
+BARS = {"rich": StepProgress, "tqdm": PlainProgress}
 
 
 @dataclass(frozen=True)
@@ -96,18 +97,35 @@ def fit(
     with warnings.catch_warnings():
         for harmless in HARMLESS:
             warnings.filterwarnings("ignore", message=f".*{harmless}.*")
-        trainer.fit(module, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
-    if trainer.interrupted or trainer.global_step < recipe.steps:
-        raise InterruptedError(f"training stopped at step {trainer.global_step} of {recipe.steps}; run again to resume")
+        _run(trainer, module, data, last, saver)
     kept = keepers.get(recipe.select)
     if kept is not None and kept.weights:
         return Fitted(kept.weights, kept.step, record.seconds, kept.value if kept is best else None)
-    broken = [name for name, value in module.model.named_parameters() if not torch.isfinite(value).all()]
-    if broken:
-        raise ValueError(
-            f"training diverged: {broken[0]} is not finite after step {trainer.global_step}; lower train.lr or set "
-            f"train.clip, and delete {last} to start anew"
-        )
     weights = {k: v.detach().cpu().clone() for k, v in module.model.state_dict().items()}
     loss = trainer.callback_metrics.get("val/loss")
     return Fitted(weights, trainer.global_step, record.seconds, None if loss is None else float(loss))
+
+
+def _run(trainer: Trainer, module: StageModule, data: LightningDataModule, last: Path, saver: Checkpoints) -> None:
+    """Train to the end.
+
+    Raises Interrupted, naming the step, where a signal came first, and DivergedError at the first number that is not
+    finite.
+    """
+    signum = signal.SIGTERM
+    try:
+        with interruptible():
+            trainer.fit(module, datamodule=data, ckpt_path=last if last.exists() else None, weights_only=True)
+        if trainer.global_step >= module.recipe.steps:
+            return check_weights(module, trainer.global_step)
+    except DivergedError as error:
+        kept = f"; the checkpoint of step {saver.step} is kept, {last}" if saver.step else ""
+        raise DivergedError(f"{error}; lower train.lr, set train.clip=1 or raise train.warmup{kept}") from None
+    except SystemExit as end:
+        # Lightning answers Ctrl-C, and a SIGTERM that it sees before we do, by exits that name no signal.
+        if isinstance(end, Interrupted):
+            signum = signal.Signals(end.signum)
+        elif isinstance(end.__context__, KeyboardInterrupt):
+            signum = signal.SIGINT
+    where = f" at step {trainer.global_step} of {module.recipe.steps}"
+    raise Interrupted(signum, where, f" from step {saver.step}" if saver.step else " from the start")

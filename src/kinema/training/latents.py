@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from rich.markup import escape
 
 from kinema.atomic import new_folder
 from kinema.data.datasets import ClipDataset
@@ -86,7 +85,7 @@ class LatentCache:
             try:
                 return cls(folder)
             except (DamagedError, FileNotFoundError) as error:
-                console.print(f"[yellow]note[/]      {escape(str(error))}")
+                console.print(f"[yellow]note[/]      {error!s}")
                 shutil.rmtree(folder)  # who reads it still has the old files open
         with new_folder(folder, sole=True) as staging:
             cls._write(staging, tokenizer, clips, device)

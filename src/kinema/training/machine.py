@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import torch
 from annotated_types import Interval, Len
 
-from kinema.devices import ACCELERATORS
+from kinema.devices import ACCELERATORS, find_device
 from kinema.options import Count, Matches, Number, OneOf, Options, Size, Threads
 
 Devices = (
@@ -34,6 +34,14 @@ class Machine(Options):
     progress: Annotated[str, OneOf(PROGRESS)] = "rich"
     log_every: Count = 50
     extra: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.precision == "16-mixed" and find_device(self.accelerator).type == "cpu":
+            raise ValueError(
+                "trainer.precision=16-mixed on a CPU computes in bf16, under the identity of a run in fp16; choose "
+                "trainer.precision=bf16-mixed or 32-true"
+            )
 
     def limit_threads(self) -> None:
         """Use this many CPU threads from now on (None: as many as torch takes)."""

@@ -15,6 +15,7 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
 from kinema.seeds import training_seed
+from kinema.training.divergence import check_loss
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, Losses, MotionBatch, TextFeatures
 
@@ -77,9 +78,12 @@ class StageModule(LightningModule):
         return torch.Generator(device=self.device).manual_seed(training_seed(self.seed, *parts))
 
     def training_step(self, batch: MotionBatch, batch_idx: int) -> Tensor:
-        """Log the losses of a training batch and return the first."""
+        """Log the losses of a training batch and return the first; one that is not finite ends the training."""
         generator = self._draws("train", self.global_step)
         losses = self.losses(batch, generator, (self.global_rank, self.trainer.world_size))
+        # All ranks stop at once: one that went on would wait for the others' gradients.
+        finite = self.trainer.strategy.reduce_boolean_decision(bool(losses["loss"].isfinite()))
+        check_loss("training", losses["loss"], self.global_step + 1, finite=finite)
         self.log_dict({f"train/{k}": v.detach() for k, v in losses.items()}, batch_size=len(batch.lengths))
         self.log("loss", losses["loss"].detach(), prog_bar=True, logger=False)
         return losses["loss"]
@@ -87,6 +91,7 @@ class StageModule(LightningModule):
     def validation_step(self, batch: MotionBatch, batch_idx: int) -> None:
         """Log the mean validation losses; the draws are the same at every validation, and so is every rank's batch."""
         losses = self.losses(batch, self._draws("val", batch_idx), (0, 1))
+        check_loss("validation", losses["loss"], self.global_step, finite=bool(losses["loss"].isfinite()))
         for name, value in losses.items():
             self.log(f"val/{name}", value, batch_size=len(batch.lengths), prog_bar=name == "loss")
 

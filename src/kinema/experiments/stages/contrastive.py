@@ -17,6 +17,7 @@ class ContrastiveStage(JudgeStage):
     node = "evaluator.contrastive"
     reads = ("evaluator.tokens", "evaluator.tokens_path")
     given_as = "clip"
+    optional = True
 
     def vocabulary(self, cfg: DictConfig) -> TokenTable:
         """Return the token table."""

@@ -42,6 +42,8 @@ class JudgeStage(EvaluatorStage):
     """Fit an evaluator of motion and text; `given_as` is its key in the configuration's `evaluators`."""
 
     given_as: ClassVar[str]
+    optional: ClassVar[bool] = False
+    """Say whether rows can do without its scores."""
 
     def given(self, cfg: DictConfig) -> Path | None:
         """Return the run of an imported evaluator."""
