@@ -1,4 +1,4 @@
-"""Walk the folders of a corpus: links to folders are followed, once each; hidden files (macOS' `._NAME`) passed over."""
+"""Walk the folders of a corpus: links to folders are followed, hidden files (macOS' `._NAME`) passed over."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def walk(root: Path) -> Iterator[tuple[str, list[str]]]:
-    """Give every folder below `root`, itself first, with the names of its files, sorted; links that lead back end it."""
+    """Give every folder below `root`, itself first, with the names of its files, sorted; each once, whatever links."""
     seen = set()
     for folder, folders, files in os.walk(root, followlinks=True):
         real = os.path.realpath(folder)

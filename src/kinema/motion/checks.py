@@ -1,4 +1,4 @@
-"""Find what is wrong with a clip before it enters a corpus: on its raw joints, before bones are fitted to a skeleton."""
+"""Find what is wrong with a clip before it enters a corpus: on raw joints, before bones are fitted to a skeleton."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from kinema.motion.convention import ABSENT, Convention
+from kinema.motion.convention import ABSENT, AS_IS, Convention
 from kinema.motion.geometry import Geometry, likely_order, likely_scale, measure, up_axis
 from kinema.motion.kinematics import bone_lengths
 from kinema.motion.shapes import explain
@@ -48,9 +48,7 @@ class Problem:
     fatal: bool = True
 
 
-def check_clip(
-    joints: np.ndarray, skeleton: Skeleton, fps: float, convention: Convention | None = None
-) -> list[Problem]:
+def check_clip(joints: np.ndarray, skeleton: Skeleton, fps: float, convention: Convention = AS_IS) -> list[Problem]:
     """List the problems of a clip's raw joints, one per kind; an empty list is a clean clip.
 
     "shape": not (at least 2, J, 3). "nan": NaN or infinite. "bone": a bone shorter than `MIN_BONE`. "order": joints
@@ -69,8 +67,7 @@ def check_clip(
     meters = joints.astype(np.float64) * skeleton.meters
     if short := _short_bones(meters, skeleton):
         return short
-    vouched = (convention or Convention()).vouched
-    found = [p for p in _misread(joints, skeleton) if p.kind not in vouched]
+    found = [p for p in _misread(joints, skeleton) if p.kind not in convention.vouched]
     return found if any(p.kind in ("order", "unit") for p in found) else [*found, *_jumps(meters, skeleton, fps)]
 
 
@@ -100,11 +97,13 @@ def _misread(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Iterator
         return
     if seen.upright < MIN_UPRIGHT:
         axis = up_axis(seen)
-        message = f"Y isn't the upright axis: the head is never above the root along Y, it is along {axis}"
+        message = f"Y isn't the upright axis: the head isn't above the root along Y in any pose, it is along {axis}"
         yield Problem("axis", 0, seen.upright, message, f"--up {axis} (or --up y if the person really lies throughout)")
     if seen.toes < MIN_TOES:
         message = f"left and right are swapped: the toes point against the facing (cosine {seen.toes:.2f})"
-        fix = "--order swapped if joints are exchanged, --handed left if the coordinates are left-handed (Unity, Unreal)"
+        fix = (
+            "--order swapped if joints are exchanged, --handed left if the coordinates are left-handed (Unity, Unreal)"
+        )
         yield Problem("sides", 0, seen.toes, message, fix)
     if not SIZES[0] <= seen.size <= SIZES[1]:
         scale = likely_scale(seen)
@@ -116,9 +115,11 @@ def _wrong_order(seen: Geometry, joints: Float[np.ndarray, "t j 3"], skeleton: S
     order = likely_order(joints, skeleton)
     message = (
         f"joints are in another order than {skeleton.name}'s: a left bone and its right one differ by a factor of "
-        f"{seen.asymmetry:.1f}, lengths scatter by {seen.scatter:.2f} (own order: below {MAX_ASYMMETRY} and {MAX_SCATTER})"
+        f"{seen.asymmetry:.1f}, lengths scatter by {seen.scatter:.2f} (in its own below {MAX_ASYMMETRY}, {MAX_SCATTER})"
     )
-    fix = f"--order with the names of your joints in their order, {ABSENT} for others, e.g. pelvis,left_hip,right_hip,..."
+    fix = (
+        f"--order with the names of your joints in their order, {ABSENT} for others, e.g. pelvis,left_hip,right_hip,..."
+    )
     return Problem("order", 0, seen.scatter, message, fix if order is None else f"--order {order}")
 
 

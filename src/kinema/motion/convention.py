@@ -32,7 +32,7 @@ ABSENT = "-"
 
 @dataclass(frozen=True)
 class Convention:
-    """Hold what is told of foreign joints. What is None is as the skeleton has it, and checked; what is told is believed.
+    """Hold what is told of foreign joints. What is None is the skeleton's and checked; what is told is believed.
 
     `up`: the axis that points up, of `AXES`. `handed`: "left" for coordinates of a left-handed system (Unity, Unreal).
     `scale`: the skeleton's units in one of the clip's, 0.01 for centimetres. `order`: one of `ORDERS`, or the joints'
@@ -78,10 +78,12 @@ class Convention:
             return array[:, [names.index(name) for name in skeleton.joint_names]]
         if self.order in ORDERS:
             return as_joints(array, skeleton)[:, [names.index(name) for name in skeleton.joint_names]]
-        raise ValueError(f"joints have shape {array.shape}, order names {len(names)}; name every joint, {ABSENT} for others")
+        raise ValueError(
+            f"joints have shape {array.shape}, order names {len(names)}; name every joint, {ABSENT} for others"
+        )
 
     def joint_names(self, skeleton: Skeleton) -> list[str]:
-        """Name the clip's joints in their order. Raises ValueError for an order without one of the skeleton's joints."""
+        """Name the clip's joints in their order. Raises ValueError for an order that lacks one of the skeleton's."""
         if self.order is None or self.order in ORDERS:
             return named_order(self.order or "own", skeleton)
         names = [name.strip() for name in self.order.split(",")]
@@ -90,10 +92,14 @@ class Convention:
         if lacking or odd:
             what = f"it lacks {', '.join(lacking)}" if lacking else f"{', '.join(odd)} is none of its joints"
             raise ValueError(
-                f"order={self.order!r} is not {skeleton.name}'s: {what}; choose one of {', '.join(ORDERS)}, or name every "
-                f"joint once ({','.join(skeleton.joint_names)}), {ABSENT} for those that it doesn't have"
+                f"order={self.order!r} is not {skeleton.name}'s: {what}; choose one of {', '.join(ORDERS)}, or name "
+                f"every joint once ({','.join(skeleton.joint_names)}), {ABSENT} for those that it doesn't have"
             )
         return names
+
+
+AS_IS = Convention()
+"""Nothing is told: joints are as the skeleton has them."""
 
 
 def named_order(order: str, skeleton: Skeleton) -> list[str]:

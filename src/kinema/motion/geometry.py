@@ -13,7 +13,7 @@ from kinema.motion.rotation import unit
 from kinema.motion.skeleton import Skeleton
 
 UPRIGHT_SHARE = 0.95
-"""Quantile of frames by which the most upright pose of a clip is judged: people lie down, but hardly ever throughout."""
+"""Quantile of frames by which the most upright pose of a clip is judged: people lie down, but rarely throughout."""
 
 USUAL_PACE = 0.43
 """Mean acceleration over mean speed of joints about the root, per frame, at 20 frames per second (median of open-mocap;

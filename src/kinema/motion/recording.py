@@ -12,7 +12,7 @@ import torch
 from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.files.kinds import describe, head_of, require_file
 from kinema.motion.checks import Problem, check_clip
-from kinema.motion.convention import Convention
+from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.features import extract
 from kinema.motion.formats.arrays import PARTS, load_npz
 from kinema.motion.recovery import recover_joints
@@ -47,18 +47,18 @@ class Recording:
         return check_clip(self.joints, self.skeleton, self.skeleton.fps, self.convention)
 
 
-def read_recording(path: str | Path, convention: Convention | None = None) -> Recording:
+def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recording:
     """Read a clip. Raises FileNotFoundError, or ValueError that names the file, what it is and what to do."""
-    path, told = Path(path), convention or Convention()
+    path = Path(path)
     head = head_of(require_file(path, FIX))
     if head.startswith(b"PK"):
-        return _archive(path, told)
+        return _archive(path, convention)
     if not head.startswith(b"\x93NUMPY"):
         raise ValueError(f"{path} {describe(head)}, no motion; {FIX}")
-    return _from_array(path, read_npy(path, Wanted(NUMBERS), fix=FIX), told)
+    return _from_array(path, read_npy(path, Wanted(NUMBERS), fix=FIX), convention)
 
 
-def read_motion(path: str | Path, skeleton: Skeleton, width: int, convention: Convention | None = None) -> Motion:
+def read_motion(path: str | Path, skeleton: Skeleton, width: int, convention: Convention = AS_IS) -> Motion:
     """Read a motion; features of `width` columns are extracted from its joints where it has none so wide.
 
     Extraction gives one frame less than there are joints (HUMANML3D_DATA §3) and puts the clip at the origin. Raises
@@ -66,7 +66,9 @@ def read_motion(path: str | Path, skeleton: Skeleton, width: int, convention: Co
     """
     found = read_recording(path, convention)
     if found.skeleton is not skeleton:
-        raise ValueError(f"{path} holds {found.skeleton.name}'s motion, the run makes {skeleton.name}'s; choose another run")
+        raise ValueError(
+            f"{path} holds {found.skeleton.name}'s motion, the run makes {skeleton.name}'s; choose another run"
+        )
     if found.features is not None and found.features.shape[1] >= width:
         if not np.isfinite(found.features).all():
             raise ValueError(f"{path} holds NaN or infinite features; extract the clip again")
@@ -88,13 +90,14 @@ def _from_array(path: Path, array: np.ndarray, told: Convention, text: str = "")
         joints = told.apply(array, skeleton)
     except ValueError as error:
         raise ValueError(f"{path} holds {array.dtype} {array.shape}: {error}") from None
-    note = f"{array.shape[1]} joints" + (f", the first {skeleton.num_joints} are read" if array.shape[1] > skeleton.num_joints else "")
+    first = f", the first {skeleton.num_joints} are read" if array.shape[1] > skeleton.num_joints else ""
     rate = "taken for granted" if told.fps is None else f"resampled to {skeleton.fps:g}"
-    return Recording(path, skeleton, joints, None, told, f"{note}; {told.fps or skeleton.fps:g} fps, {rate}", text)
+    note = f"{array.shape[1]} joints{first}; {told.fps or skeleton.fps:g} fps, {rate}"
+    return Recording(path, skeleton, joints, None, told, note, text)
 
 
 def _from_features(path: Path, array: np.ndarray, skeleton: Skeleton, told: Convention, text: str) -> Recording:
-    if told != Convention() and told != Convention(fps=skeleton.fps):
+    if told not in (AS_IS, Convention(fps=skeleton.fps)):
         raise ValueError(f"features are {skeleton.name}'s, upright and at {skeleton.fps:g} fps: no option changes them")
     rows = np.ascontiguousarray(array, dtype=np.float32)
     joints = recover_joints(torch.from_numpy(rows), skeleton).numpy()
@@ -107,7 +110,7 @@ def _archive(path: Path, told: Convention) -> Recording:
         motion = load_npz(path)
         skeleton = get_skeleton(motion.skeleton)
         note = f"a motion of {motion.joints.shape[1]} joints with features {motion.features.shape}"
-        if told != Convention():
+        if told != AS_IS:
             raise ValueError(f"{path} is a motion that kinema wrote: no option changes its convention")
         return Recording(path, skeleton, motion.joints, motion.features, told, note, motion.text)
     if any(known <= set(names) for known in BODY_PARAMETERS):
@@ -117,7 +120,8 @@ def _archive(path: Path, told: Convention) -> Recording:
     if len(motions) != 1 and "joints" not in motions:
         found = ", ".join(f"{n} {a.shape}" for n, a in list(numbers.items())[:12]) or "nothing"
         raise ValueError(f"{path} is no archive of one motion: it has {found}; {FIX}")
-    rate = next((float(numbers[n]) for n in RATES if n in numbers and numbers[n].size == 1), None)
+    rates = [numbers[name] for name in RATES if name in numbers and numbers[name].dtype.kind in NUMBERS]
+    rate = next((float(value.item()) for value in rates if value.size == 1), None)
     array = motions["joints"] if "joints" in motions else next(iter(motions.values()))
     read = told if told.fps or rate is None or array.ndim == 2 else replace(told, fps=rate)
     return _from_array(path, array, read)
@@ -153,5 +157,3 @@ def _body_parameters(path: Path, names: list[str]) -> str:
         "holds parameters of an SMPL body (poses, not positions), as AMASS does: run its body model (HumanML3D's "
         f"raw_pose_processing, or the smplx package) and save joints[:, :22] as (frames, 22, 3) in an .npy{fps}"
     )
-
-

@@ -65,7 +65,9 @@ def _kind_of_rows(shape: tuple[int, ...], skeletons: list[Skeleton]) -> str:
     frames, width = shape
     for known in SKELETONS.values():
         if width in (known.feature_width, known.essential_width):
-            return f"these are {known.name}'s features, not joints: they go into new_joint_vecs/ (--format {known.name})"
+            return (
+                f"these are {known.name}'s features, not joints: they go into new_joint_vecs/ (--format {known.name})"
+            )
     for joints in (s.num_joints for s in skeletons):
         if shape == (joints, 3):
             return "this is a single frame, squeezed when it was saved: save joints[None] or the whole clip"
