@@ -7,8 +7,10 @@ import importlib
 import json
 import os
 import platform
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from kinema.data import doctor as examine
@@ -19,14 +21,14 @@ from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
-from kinema.motion.features import extract
+from kinema.motion.features import extract_every
 from kinema.motion.formats.arrays import load_npy, load_npz
-from kinema.motion.recovery import recover_joints
+from kinema.motion.lifting import lift
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.editing import complement, parse_ranges
+from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder, read_json
@@ -49,7 +51,8 @@ def generate(options: argparse.Namespace) -> None:
 
 def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
-    files, given = _files(options.out, 1), options.regenerate or options.keep
+    files = _files(options.out, 1)
+    given = options.keep if options.regenerate is None else options.regenerate
     if given is None and options.parts is None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
@@ -57,8 +60,7 @@ def edit(options: argparse.Namespace) -> None:
     frames = None
     if given is not None:
         size = len(motion.features)
-        ranges = parse_ranges(given, size, model.skeleton.fps)
-        frames = [complement(ranges, size) if options.keep else ranges]
+        frames = [parse_ranges(given, size, model.skeleton.fps, kept=options.keep is not None)]
     made = model.edit(
         motion,
         options.text,
@@ -69,26 +71,29 @@ def edit(options: argparse.Namespace) -> None:
         **options.set,
     )
     _write(made, files)
+    if made[0].kept is not None:
+        print(_stayed(made[0], model.skeleton))
 
 
 def read_motion(path: str | Path, skeleton: Skeleton, width: int) -> Motion:
-    """Read a motion; features of `width` columns are extracted from its joints where it has none so wide.
+    """Read a motion with a row of `width` columns for each frame; joints stay where they are and face as they do.
 
-    Extraction gives one frame less than there are joints (HUMANML3D_DATA §3) and puts the clip at the origin.
+    Rows that are narrower are completed, those of joints alone extracted with the skeleton's own bone lengths.
     """
     path = Path(path)
     if path.suffix == ".npz":
         motion = load_npz(path)
         if motion.features.ndim == 2 and motion.features.shape[1] >= width:
             return motion
+        if motion.features.ndim == 2 and motion.features.shape[1] >= skeleton.essential_width:
+            return replace(motion, features=lift(motion.features, skeleton))
         joints, text = motion.joints, motion.text
     elif path.suffix == ".npy":
         joints, text = load_npy(path), ""
     else:
         raise ValueError(f"cannot read a motion from {path}; give .npz or joints (frames, joints, 3) as .npy")
     lengths = None if skeleton.bone_lengths is None else "skeleton"  # as corpora are prepared
-    features = extract(joints, skeleton, target_bone_lengths=lengths)
-    joints = recover_joints(torch.from_numpy(features), skeleton).numpy()
+    features = extract_every(joints, skeleton, target_bone_lengths=lengths)
     return Motion(joints, features, text, skeleton.name, skeleton.fps)
 
 
@@ -176,6 +181,14 @@ def _files(out: str, count: int) -> list[Path]:
     if count == 1 or path.suffix == ".html":
         return [path]
     return [path.with_stem(f"{path.stem}-{i}") for i in range(1, count + 1)]
+
+
+def _stayed(motion: Motion, skeleton: Skeleton) -> str:
+    """Say which frames an edit kept, and how far a joint moves where the new ones begin or end."""
+    borders = np.flatnonzero(np.diff(np.pad(motion.kept, 1).astype(np.int8))).reshape(-1, 2)
+    said = f"kept frames {', '.join(f'{start}:{end}' for start, end in borders)}" if len(borders) else "kept no frame"
+    seam = largest_seam(motion)
+    return said if seam is None else f"{said}; largest step at a seam {seam[1]:.3g} {skeleton.unit} (frame {seam[0]})"
 
 
 def _write(motions: list[Motion], files: list[Path]) -> None:
