@@ -37,8 +37,14 @@ EXPERIMENTS = {
 """Commands that read their own arguments (`kinema train --help`): mostly Hydra overrides."""
 RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD for the last that finished"
 RANGE_HELP = (
-    "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
-    "or prefix, suffix, inbetween, outpaint"
+    "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; or a task, "
+    "named by what stays: prefix keeps the first half, suffix the second half, inbetween both end quarters, outpaint "
+    "the middle half"
+)
+REGENERATE_HELP = f"what becomes new; everything else stays bit by bit. {RANGE_HELP}"
+KEEP_HELP = (
+    f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
+    "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
@@ -95,8 +101,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     change.add_argument("--text", required=True, help="what the person does")
     which = change.add_mutually_exclusive_group()
-    which.add_argument("--regenerate", metavar="RANGES", help=RANGE_HELP)
-    which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
+    which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
+    which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
     change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     for one in (make, change):

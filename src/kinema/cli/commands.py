@@ -9,6 +9,7 @@ import platform
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from kinema.data import doctor as examine
@@ -20,11 +21,11 @@ from kinema.experiments.corpus import open_corpus
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
 from kinema.motion.convention import Convention
-from kinema.motion.recording import read_motion
+from kinema.motion.recording import read_recording
 from kinema.motion.representation import Representation
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.editing import complement, parse_ranges
+from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder, read_json
@@ -47,17 +48,18 @@ def generate(options: argparse.Namespace) -> None:
 
 def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
-    files, given = _files(options.out, 1), options.regenerate or options.keep
+    files = _files(options.out, 1)
+    given = options.keep if options.regenerate is None else options.regenerate
     if given is None and options.parts is None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
-    told = _convention(options)
-    motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width, told)
+    recording = read_recording(options.motion, _convention(options))
+    motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
+    print(f"read {recording.path}: {recording.note}")
     frames = None
     if given is not None:
         size = len(motion.features)
-        ranges = parse_ranges(given, size, model.skeleton.fps)
-        frames = [complement(ranges, size) if options.keep else ranges]
+        frames = [parse_ranges(given, size, model.skeleton.fps, kept=options.keep is not None)]
     made = model.edit(
         motion,
         options.text,
@@ -68,6 +70,8 @@ def edit(options: argparse.Namespace) -> None:
         **options.set,
     )
     _write(made, files)
+    if made[0].kept is not None:
+        print(_stayed(made[0], model.skeleton))
 
 
 def import_checkpoint(options: argparse.Namespace) -> None:
@@ -159,6 +163,14 @@ def _files(out: str, count: int) -> list[Path]:
     if count == 1 or path.suffix == ".html":
         return [path]
     return [path.with_stem(f"{path.stem}-{i}") for i in range(1, count + 1)]
+
+
+def _stayed(motion: Motion, skeleton: Skeleton) -> str:
+    """Say which frames an edit kept, and how far a joint moves where the new ones begin or end."""
+    borders = np.flatnonzero(np.diff(np.pad(motion.kept, 1).astype(np.int8))).reshape(-1, 2)
+    said = f"kept frames {', '.join(f'{start}:{end}' for start, end in borders)}" if len(borders) else "kept no frame"
+    seam = largest_seam(motion)
+    return said if seam is None else f"{said}; largest step at a seam {seam[1]:.3g} {skeleton.unit} (frame {seam[0]})"
 
 
 def _write(motions: list[Motion], files: list[Path]) -> None:

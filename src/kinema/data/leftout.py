@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from kinema.data.catalog import SPLITS, Dropped
+from kinema.motion.skeleton import get_skeleton
 
 MAX_UNUSABLE = 0.2
 """Share of a corpus' clips that may be unusable: above it the corpus is another than it was taken for."""
@@ -42,7 +43,7 @@ def by_kind(dropped: Sequence[Dropped]) -> dict[str, list[Dropped]]:
 def told_of(rate: str, dropped: Sequence[Dropped], manifest: dict[str, Any], out: Path) -> Iterator[str]:
     """Write for people how a corpus was read and what it was left without; nothing where there is nothing to say."""
     if rate:
-        yield f"rate      {rate}"
+        yield f"rate      {rate}; entries have {get_skeleton(manifest['skeleton']).fps:g} fps"
     units = {"missing": "listed clips without files", "clip": "unusable clips", "caption": "unreadable captions"}
     for what, unit in units.items():
         if found := [d for d in dropped if d.what == what]:

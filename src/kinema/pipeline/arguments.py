@@ -18,6 +18,11 @@ def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: i
     if frames is None and seconds is None:
         return None
     asked = _spread(frames if seconds is None else seconds, size)
+    for length in asked:
+        if not np.isfinite(length):
+            raise ValueError(
+                f"length {length:g} is no length; give at most {maximum / fps:g} seconds ({maximum} frames)"
+            )
     counts = asked if seconds is None else [round(a * fps) for a in asked]
     for count in counts:
         if count != int(count):
@@ -52,7 +57,7 @@ def _spread(values: Any, size: int) -> list[Any]:
 def paired(motions: Motion | Sequence[Motion], texts: str | Sequence[str]) -> tuple[list[Motion], list[str]]:
     """Return motions and texts of one length; a single one goes with all of the others."""
     motions = [motions] if isinstance(motions, Motion) else list(motions)
-    texts = check_texts([texts] if isinstance(texts, str) else list(texts))
+    texts = check_texts(texts)
     size = max(len(motions), len(texts))
     motions = motions * size if len(motions) == 1 else motions
     texts = texts * size if len(texts) == 1 else texts
