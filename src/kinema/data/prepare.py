@@ -78,8 +78,8 @@ def prepare_store(
     if _request_of(out) == request:
         return out
     catalog = read_corpus(reader, source, **reader_options)
-    shares = {"max_missing": max_missing, "max_unusable": max_unusable}
-    return prepare(catalog, out, **options, **shares, processes=processes, request=request)
+    options |= {"max_missing": max_missing, "max_unusable": max_unusable}
+    return prepare(catalog, out, **options, processes=processes, request=request)
 
 
 def read_corpus(reader: str, source: str | Path | None, **options: Any) -> Catalog:
