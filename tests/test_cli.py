@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import torch
 
 from kinema import __version__, cli, interop
 from kinema.motion import body_parts
-from kinema.motion.formats.arrays import load_npy, load_npz
+from kinema.motion.formats.arrays import load_npy, load_npz, save_npz
+from kinema.motion.recording import read_recording
 from kinema.motion.skeleton import HUMANML3D
 from kinema.runs.folder import RunFolder
 
@@ -149,7 +151,51 @@ def test_joints_can_be_edited(run):
     change = ["edit", "--motion", "captured.npy", "--text", "someone sits", "--run", str(run), *FAST]
     assert cli.main([*change, "--regenerate", "suffix", "--out", "edited.npz"]) == 0
     edited = load_npz("edited.npz")
-    assert edited.joints.shape == (60, HUMANML3D.num_joints, 3)
+    assert edited.joints.shape == (61, HUMANML3D.num_joints, 3)
+
+
+@pytest.mark.parametrize("option", ["--keep", "--regenerate"])
+@pytest.mark.parametrize(
+    ("task", "stays"),
+    [("prefix", "0:20"), ("suffix", "20:40"), ("inbetween", "0:10, 30:40"), ("outpaint", "10:30")],
+)
+def test_a_task_means_what_is_given_whichever_option_names_it(run, capsys, option, task, stays):
+    make = ["generate", "a person walks", "--run", str(run), "--frames", "40", "--seed", "3", *FAST]
+    assert cli.main([*make, "--out", "walk.npz"]) == 0
+    change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), *FAST]
+    assert cli.main([*change, option, task, "--out", "edited.npz"]) == 0
+    assert f"kept frames {stays}; largest step at a seam " in capsys.readouterr().out
+    walk, edited = load_npz("walk.npz"), load_npz("edited.npz")
+    same = (walk.features == edited.features).all(1)
+    for span in stays.split(", "):
+        start, end = map(int, span.split(":"))
+        assert same[start:end].all()
+        same[start:end] = False
+    assert not same.any()
+
+
+def test_keyframes_are_widened_to_latents_and_said(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--frames", "40", "--seed", "3", *FAST]
+    assert cli.main([*make, "--out", "walk.npz"]) == 0
+    change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), *FAST]
+    assert cli.main([*change, "--keep", "0:1,39:40", "--out", "edited.npz"]) == 0
+    assert "kept frames 0:4, 36:40" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("width", [4 + 21 * 3 - 1, 67, 100, 263])
+def test_a_motion_with_narrower_rows_has_as_many_frames_and_stays_in_its_place(tmp_path, run, width):
+    """A model of redundant dims reads 263 columns."""
+    make = ["generate", "a person walks", "--run", str(run), "--frames", "40", "--seed", "3", *FAST]
+    assert cli.main([*make, "--out", "walk.npz"]) == 0
+    walk = load_npz("walk.npz")
+    rows = np.zeros((40, width), np.float32)
+    rows[:, : min(width, 67)] = walk.features[:, : min(width, 67)]
+    save_npz(replace(walk, features=rows, joints=walk.joints + np.float32([5, 0, 1])), "moved.npz")
+    read = read_recording("moved.npz").motion(HUMANML3D, 263)
+    assert read.features.shape == (40, 263)
+    assert np.array_equal(read.joints, walk.joints + np.float32([5, 0, 1]))
+    if width >= 67:
+        assert np.array_equal(read.features[:, :67], walk.features)
 
 
 def test_prepare_gives_a_store_that_opens(tmp_path, capsys):

@@ -189,8 +189,9 @@ class Known(_Movable):
 class Motion:
     """Hold one generated or captured motion as a user handles it.
 
-    `joints` are positions (frames, joints, 3), Y up, in the skeleton's unit; `features` the rows they came from; `kept`
-    is True at the frames (frames,) that an edit kept whole (None: it is no edit, or one of a part of the body).
+    `joints` are positions (frames, joints, 3), Y up, in the skeleton's unit; `features` their rows, which know neither
+    where the motion stands nor which way it faces (an edit has that from its source's joints); `kept` is True at the
+    frames (frames,) that an edit kept whole (None: it is no edit, or one of a part of the body).
     """
 
     joints: np.ndarray

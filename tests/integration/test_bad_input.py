@@ -170,7 +170,13 @@ def no_motions(corpus: Path) -> None:
 
 
 def wrong_joints(corpus: Path) -> None:
-    np.save(clip_of(corpus), np.zeros((60, 17, 3), np.float32))
+    for file in (corpus / "joints").iterdir():
+        np.save(file, np.zeros((60, 17, 3), np.float32))
+
+
+def other_axis(corpus: Path) -> None:
+    for file in (corpus / "joints").iterdir():
+        np.save(file, np.load(file)[..., [0, 2, 1]] * np.float32([1, -1, 1]))
 
 
 @pytest.mark.parametrize(
@@ -181,6 +187,7 @@ def wrong_joints(corpus: Path) -> None:
         (no_text_at_all, ["has no captions", "texts/NAME.txt"]),
         (no_motions, ["complete the folder or raise max_missing"]),
         (wrong_joints, ["(60, 17, 3)", "22"]),
+        (other_axis, ["clips are unusable", "--up z"]),
     ],
 )
 def test_a_damaged_corpus_is_named(refused, corpus, damage, words, tmp_path):

@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kinema.pipeline.editing import TASKS, complement, parse_ranges, resolve_ranges
+from kinema.motion.recovery import recover_joints
+from kinema.motion.rotation import rotate_yaw
+from kinema.motion.skeleton import HUMANML3D
+from kinema.pipeline.editing import TASKS, complement, largest_seam, parse_ranges, resolve_ranges
 
 
 @pytest.fixture
@@ -94,6 +97,60 @@ def test_motions_that_do_not_fit_the_model_are_named(model, motions):
         model.edit(motions, ["a", "b", "c"], "prefix")
 
 
+@pytest.mark.parametrize(
+    ("asked", "kept"),
+    [
+        ([(1, 38)], [(0, 4)]),
+        ([(0, 37)], [(36, 38)]),
+        ([(1, 36)], [(0, 4), (36, 38)]),
+        ([(0, 9), (11, 38)], [(8, 12)]),
+        ([(0, 11), (13, 38)], [(8, 16)]),
+        ([(0, 10), (15, 38)], [(8, 16)]),
+        ([(0, 10), (16, 38)], [(10, 16)]),
+        ([(0, 1), (2, 3), (4, 38)], [(0, 4)]),
+    ],
+)
+def test_a_kept_stretch_under_a_latent_is_widened_so_that_the_generator_knows_it(model, motions, asked, kept):
+    (edited,) = model.edit(motions[0], "someone turns around", asked, seed=2)
+    expected = np.zeros(38, bool)
+    for start, end in kept:
+        expected[start:end] = True
+    assert np.array_equal(edited.kept, expected)
+    assert np.array_equal(edited.features[expected], motions[0].features[expected])
+    frame, step = largest_seam(edited)
+    assert edited.kept[frame] != edited.kept[frame - 1]
+    assert step == pytest.approx(np.linalg.norm(edited.joints[frame] - edited.joints[frame - 1], axis=-1).max())
+
+
+@pytest.mark.parametrize(("asked", "whole"), [([(1, 3)], "0:4"), ([(1, 4)], "0:4"), ([(36, 37)], "36:38")])
+def test_a_range_of_which_nothing_would_be_left_is_refused(model, motions, asked, whole):
+    with pytest.raises(ValueError, match=f"nothing of motion 0 is left .* frames {whole} or more"):
+        model.edit(motions[0], "someone turns around", asked)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, np.pi, -2.5])
+@pytest.mark.parametrize("step", [(0, 0, 0), (3, 0, -2), (0.5, 1.2, 100)])
+@pytest.mark.parametrize("frames", ["prefix", "suffix", "inbetween"])
+def test_an_edit_stands_and_faces_as_its_source_does(model, motions, frames, yaw, step):
+    def move(joints):
+        return (rotate_yaw(joints.astype(np.float64), yaw) + step).astype(np.float32)
+
+    (plain,) = model.edit(motions[0], "someone waves", frames, seed=2)
+    (moved,) = model.edit(replace(motions[0], joints=move(motions[0].joints)), "someone waves", frames, seed=2)
+    assert np.array_equal(moved.features, plain.features)
+    first = move(motions[0].joints)[0, 0]
+    np.testing.assert_allclose(moved.joints[0, 0, [0, 2]], first[[0, 2]], atol=1e-3)
+    if frames != "suffix":  # the first frame is the source's
+        np.testing.assert_allclose(moved.joints, move(plain.joints), atol=2e-3)
+
+
+def test_an_edit_of_a_motion_in_its_place_is_the_rows_and_nothing_else(model, motions):
+    import torch
+
+    (edited,) = model.edit(motions[0], "someone waves", "prefix", seed=2)
+    assert np.array_equal(edited.joints, recover_joints(torch.from_numpy(edited.features)[None], HUMANML3D)[0].numpy())
+
+
 @pytest.mark.parametrize("length", [7, 38, 40, 196])
 def test_the_tasks_keep_what_their_names_say(length):
     kept = {task: complement(ranges(length), length) for task, ranges in TASKS.items()}
@@ -107,7 +164,9 @@ def test_ranges_as_text():
     assert parse_ranges("20:60,80:", 100, 20.0) == [(20, 60), (80, 100)]
     assert parse_ranges("1s:2.5s", 100, 20.0) == [(20, 50)]
     assert parse_ranges(":1s", 100, 12.5) == [(0, 12)]
-    assert parse_ranges("prefix", 100, 20.0) == [(50, 100)]
+    assert parse_ranges("20:60,80:", 100, 20.0, kept=True) == [(0, 20), (60, 80)]
+    for kept in (False, True):
+        assert parse_ranges("prefix", 100, 20.0, kept=kept) == [(50, 100)]
     assert complement([(20, 60), (80, 100)], 100) == [(0, 20), (60, 80)]
     assert complement([(0, 100)], 100) == []
     for text, message in (("20-60", "is no START:END"), ("a:5", "neither a frame"), ("0:200", "is outside")):

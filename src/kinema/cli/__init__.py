@@ -48,8 +48,14 @@ EXPERIMENTS = {
 """Commands that read their own arguments (`kinema train --help`): mostly Hydra overrides."""
 RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD for the last that finished"
 RANGE_HELP = (
-    "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; "
-    "or prefix, suffix, inbetween, outpaint"
+    "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; or a task, "
+    "named by what stays: prefix keeps the first half, suffix the second half, inbetween both end quarters, outpaint "
+    "the middle half"
+)
+REGENERATE_HELP = f"what becomes new; everything else stays bit by bit. {RANGE_HELP}"
+KEEP_HELP = (
+    f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
+    "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
@@ -115,11 +121,13 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
-    change.add_argument("--motion", required=True, help=".npz that generate wrote, or joints (T, J, 3) as .npy")
+    change.add_argument(
+        "--motion", required=True, help=".npz that generate wrote; joints (T, J, 3) or features as .npy"
+    )
     change.add_argument("--text", required=True, help="what the person does")
     which = change.add_mutually_exclusive_group()
-    which.add_argument("--regenerate", metavar="RANGES", help=RANGE_HELP)
-    which.add_argument("--keep", metavar="RANGES", help="START:END ranges; the rest is regenerated")
+    which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
+    which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
     change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     for one in (make, change):
@@ -129,6 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
+    _add_convention(change)
     read = add("import", "turn a published checkpoint into a run folder", "import_checkpoint")
     read.add_argument("kind", choices=KINDS)
     read.add_argument("file", help="published .tar, .pth, .pt or .safetensors")
@@ -154,17 +163,19 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--skeleton", default="humanml3d", help="skeleton of joints and synthetic (default humanml3d)")
     pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
     pack.add_argument("--processes", type=int, help="processes that extract features")
-    _add_settings(pack, "reader option, e.g. size=400 of synthetic")
-    check = add("doctor", "examine a corpus, a packed store or a file of joints")
+    _add_convention(pack)
+    _add_settings(pack, "reader option, e.g. size=400 of synthetic; max_missing or max_unusable, shares of clips")
+    check = add("doctor", "examine a corpus, a packed store or a file of motion")
     check.add_argument(
         "what",
         nargs="+",
         metavar="PATH | KEY=VALUE...",
-        help="corpus folder, packed store or .npy of joints; or overrides that name a corpus of the configuration "
-        "(data=open_mocap), which is prepared first",
+        help="corpus folder, packed store or file of motion (.npy, .npz); or overrides that name a corpus of the "
+        "configuration (data=open_mocap), which is prepared first",
     )
     check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
     check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    _add_convention(check)
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
     _add_runs(add)
@@ -183,6 +194,18 @@ def _add_runs(add: Callable[[str, str, str], argparse.ArgumentParser]) -> None:
     what = 'print what completes `kinema`: eval "$(kinema completion bash)"'
     shell = add("completion", what, "completion:completion")
     shell.add_argument("shell", choices=SHELLS)
+
+
+def _add_convention(parser: argparse.ArgumentParser) -> None:
+    """Add what can be told of foreign joints (`kinema.motion.convention.Convention`)."""
+    told = parser.add_argument_group("how joints are written", "what is not told is checked, what is told is believed")
+    told.add_argument("--up", metavar="AXIS", help="axis that points up: x, y, z, -x, -y, -z")
+    told.add_argument("--handed", choices=("left", "right"), help="left for left-handed coordinates (Unity, Unreal)")
+    told.add_argument("--scale", type=float, help="factor to metres (KIT: its own mm): 0.01 for centimetres")
+    told.add_argument(
+        "--order", help="order of joints: swapped, limbs, limbs-right, trunk, trunk-right, or their names"
+    )
+    told.add_argument("--fps", type=float, help="their frame rate; they are resampled to the skeleton's")
 
 
 def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:

@@ -6,12 +6,14 @@ import argparse
 import json
 import os
 import platform
+from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from kinema.data import doctor as examine
-from kinema.data.prepare import check_reader, find_reader
+from kinema.data.prepare import check_reader, read_corpus
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
@@ -19,15 +21,14 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.listing import Listed
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
-from kinema.motion.features import extract
-from kinema.motion.formats.arrays import load_npy, load_npz
-from kinema.motion.recovery import recover_joints
+from kinema.motion.convention import Convention
+from kinema.motion.recording import read_recording
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.options import Threads, check_value
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.editing import complement, parse_ranges
+from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.console import printable
@@ -55,17 +56,19 @@ def generate(options: argparse.Namespace) -> None:
 
 def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
-    files, given = _files(options.out, 1), options.regenerate or options.keep
+    files = _files(options.out, 1)
+    given = options.keep if options.regenerate is None else options.regenerate
     if given is None and options.parts is None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
     model.changed_sampling(options.set)
-    motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width)
+    recording = read_recording(options.motion, _convention(options))
+    motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
+    print(f"read {recording.path}: {recording.note}")
     frames = None
     if given is not None:
         size = len(motion.features)
-        ranges = parse_ranges(given, size, model.skeleton.fps)
-        frames = [complement(ranges, size) if options.keep else ranges]
+        frames = [parse_ranges(given, size, model.skeleton.fps, kept=options.keep is not None)]
     made = model.edit(
         motion,
         options.text,
@@ -76,27 +79,8 @@ def edit(options: argparse.Namespace) -> None:
         **options.set,
     )
     _write(made, files)
-
-
-def read_motion(path: str | Path, skeleton: Skeleton, width: int) -> Motion:
-    """Read a motion; features of `width` columns are extracted from its joints where it has none so wide.
-
-    Extraction gives one frame less than there are joints (HUMANML3D_DATA §3) and puts the clip at the origin.
-    """
-    path = Path(path)
-    if path.suffix == ".npz":
-        motion = load_npz(path)
-        if motion.features.ndim == 2 and motion.features.shape[1] >= width:
-            return motion
-        joints, text = motion.joints, motion.text
-    elif path.suffix == ".npy":
-        joints, text = load_npy(path), ""
-    else:
-        raise ValueError(f"cannot read a motion from {path}; give .npz or joints (frames, joints, 3) as .npy")
-    lengths = None if skeleton.bone_lengths is None else "skeleton"  # as corpora are prepared
-    features = extract(joints, skeleton, target_bone_lengths=lengths)
-    joints = recover_joints(torch.from_numpy(features), skeleton).numpy()
-    return Motion(joints, features, text, skeleton.name, skeleton.fps)
+    if made[0].kept is not None:
+        print(_stayed(made[0], model.skeleton))
 
 
 def import_checkpoint(options: argparse.Namespace) -> None:
@@ -118,22 +102,23 @@ def prepare(options: argparse.Namespace) -> None:
     official = options.format in ("humanml3d", "kit")
     skeleton = options.format if official else options.skeleton
     reader = "official" if official else options.format
-    check_reader(reader, options.set, "--set")
+    told = {name: value for name, value in vars(_convention(options)).items() if value is not None}
+    limits = {name: options.set.pop(name) for name in ("max_missing", "max_unusable") if name in options.set}
+    check_reader(reader, told | options.set, "--set")
     processes = min(4, os.cpu_count() or 1) if options.processes is None else options.processes
     check_value(processes, Threads, "--processes")
-    settings = options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    settings = told | options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
     if (options.source is None) != (options.format == "synthetic"):
         needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
         raise ValueError(f"--format {options.format} {needs}")
-    source = [] if options.source is None else [options.source]
-    catalog = find_reader(reader)(*source, **settings)
     path = write_store(
-        catalog,
+        read_corpus(reader, options.source, **settings),
         options.out,
         name=options.name or options.format,
         skeleton=skeleton,
         mirror=not official and not options.no_mirror,
         processes=processes,
+        **limits,
     )
     store = PackedStore.open(path)
     print(printable(f"wrote {path}: {store!r}"))
@@ -147,7 +132,7 @@ def doctor(options: argparse.Namespace) -> int:
         path, source = open_corpus(cfg), source or cfg.data.source
     elif len(options.what) > 1:
         raise ValueError(f"doctor takes one path, or KEY=VALUE overrides, not {' '.join(options.what)}")
-    findings = examine.diagnose(path, source=source)
+    findings = examine.diagnose(path, source=source, convention=_convention(options))
     print(printable(examine.format(findings)))
     return examine.exit_code(findings, strict=options.strict)
 
@@ -175,6 +160,10 @@ def info(options: argparse.Namespace) -> None:
     print(json.dumps(parts, indent=2))
 
 
+def _convention(options: argparse.Namespace) -> Convention:
+    return Convention(**{field.name: getattr(options, field.name) for field in fields(Convention)})
+
+
 def _model(options: argparse.Namespace) -> TextToMotion:
     parts = {} if options.length is None else {LENGTH: options.length}
     return TextToMotion.from_run(options.run, options.device, **parts)
@@ -188,6 +177,14 @@ def _files(out: str, count: int) -> list[Path]:
     if count == 1 or path.suffix == ".html":
         return [path]
     return [path.with_stem(f"{path.stem}-{i}") for i in range(1, count + 1)]
+
+
+def _stayed(motion: Motion, skeleton: Skeleton) -> str:
+    """Say which frames an edit kept, and how far a joint moves where the new ones begin or end."""
+    borders = np.flatnonzero(np.diff(np.pad(motion.kept, 1).astype(np.int8))).reshape(-1, 2)
+    said = f"kept frames {', '.join(f'{start}:{end}' for start, end in borders)}" if len(borders) else "kept no frame"
+    seam = largest_seam(motion)
+    return said if seam is None else f"{said}; largest step at a seam {seam[1]:.3g} {skeleton.unit} (frame {seam[0]})"
 
 
 def _write(motions: list[Motion], files: list[Path]) -> None:

@@ -23,6 +23,8 @@ import numpy as np
 from kinema.atomic import staging_folder
 from kinema.data.catalog import Catalog, Clip, Dropped
 from kinema.data.convert import convert
+from kinema.data.folders import walk
+from kinema.data.leftout import MAX_UNUSABLE, check_share, told_of
 from kinema.data.origin import index_file
 from kinema.data.packing import StoreWriter
 from kinema.data.store import FORMAT, PackedStore, read_manifest
@@ -53,13 +55,16 @@ def find_reader(name: str) -> Callable[..., Catalog]:
     return getattr(importlib.import_module(module), function)
 
 
-def check_reader(name: str, options: Mapping[str, Any], at: str, *others: str) -> None:
+def check_reader(name: str, options: Mapping[str, Any], at: str = "", *others: str) -> None:
     """Raise ValueError naming an option under `at` that is wrong, or neither a reader's nor one of `others`."""
     read, given = find_reader(name), {key: value for key, value in options.items() if value is not None}
     known = {*inspect.signature(read).parameters, *others} - {"path", "skeleton"}
     for key in given:
         if key not in known:
-            raise ValueError(f"{at}.{key} is no option; reader {name} has {', '.join(sorted(known)) or 'none'}")
+            hint = ": features have the skeleton's rate, joints folders are resampled" if key == "fps" else ""
+            raise ValueError(
+                f"{at and f'{at}.'}{key} is no option; reader {name} has {', '.join(sorted(known)) or 'none'}{hint}"
+            )
     check(read, given, at)
 
 
@@ -73,6 +78,7 @@ def prepare_store(
     mirror: bool | None = None,
     legacy_fps: bool = False,
     max_missing: Share = 0.05,
+    max_unusable: Share = MAX_UNUSABLE,
     processes: Threads = 1,
     **reader_options: Any,
 ) -> Path:
@@ -93,8 +99,16 @@ def prepare_store(
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
     if _request_of(out) == request:
         return out
-    catalog = read(**reader_options) if source is None else read(source, **reader_options)
-    return prepare(catalog, out, **options, max_missing=max_missing, processes=processes, request=request)
+    catalog = read_corpus(reader, source, **reader_options)
+    options |= {"max_missing": max_missing, "max_unusable": max_unusable}
+    return prepare(catalog, out, **options, processes=processes, request=request)
+
+
+def read_corpus(reader: str, source: str | Path | None, **options: Any) -> Catalog:
+    """Read a corpus with one of the `READERS`; raises ValueError for an option that it doesn't take."""
+    check_reader(reader, {key: value for key, value in options.items() if key != "skeleton"})
+    read = find_reader(reader)
+    return read(**options) if source is None else read(source, **options)
 
 
 def prepare(
@@ -106,6 +120,7 @@ def prepare(
     mirror: bool = True,
     legacy_fps: bool = False,
     max_missing: Share = 0.05,
+    max_unusable: Share = MAX_UNUSABLE,
     processes: Threads = 1,
     request: str | None = None,
 ) -> Path:
@@ -115,8 +130,9 @@ def prepare(
     their captions. `legacy_fps` reads time tags at 20 fps for every corpus, as published for KIT. `processes` changes
     only the time it takes. A store that the same `request` made is given back at once.
 
-    Raises ValueError if no clip is usable, if more than the share `max_missing` of the listed clips lacks its files,
-    if an array has the wrong shape, or if `out_dir` holds another content.
+    Raises ValueError if no clip is usable, if more than the share `max_missing` of the listed clips lacks its files
+    or more than `max_unusable` holds no sound motion, or if `out_dir` holds another content. What else is left out is
+    printed, and listed in the store's dropped.json.
     """
     check(prepare, {"max_missing": max_missing, "processes": processes}, "prepare")
     out, body = Path(out_dir), get_skeleton(skeleton)
@@ -129,8 +145,10 @@ def prepare(
         with staging_folder(out, sole=True) as staging:
             writer = StoreWriter(staging, name, body, tag_fps=20.0 if legacy_fps else body.fps)
             options = {"request": request, "mirror": mirror, "legacy_fps": legacy_fps}
-            manifest = _write(catalog, writer, options, processes)
+            manifest = _write(catalog, writer, options, max_unusable, processes)
             _move(staging, out, manifest["hash"])
+    for line in told_of(catalog.rate, writer.dropped, manifest, out):
+        print(line, flush=True)
     return out
 
 
@@ -149,7 +167,9 @@ def _check_catalog(catalog: Catalog, name: str, mirror: bool, max_missing: float
         )
 
 
-def _write(catalog: Catalog, writer: StoreWriter, options: dict[str, Any], processes: int) -> dict[str, Any]:
+def _write(
+    catalog: Catalog, writer: StoreWriter, options: dict[str, Any], max_unusable: float, processes: int
+) -> dict[str, Any]:
     """Write every file of the store; if the disk is full, say how much room is needed."""
     taken = {clip.name for clip in catalog}
     jobs = [(clip, writer.skeleton.name, options["mirror"] and _unmirrored(clip, taken)) for clip in catalog]
@@ -164,6 +184,7 @@ def _write(catalog: Catalog, writer: StoreWriter, options: dict[str, Any], proce
             if len(made) == 2:
                 captions = [caption.mirrored() for caption in clip.captions]
                 writer.add(replace(clip, name=f"M{clip.name}", captions=captions, mirrored=True), made[1])
+        check_share(writer.name, writer.dropped, len(catalog), max_unusable)
         return writer.finish(catalog.statistics, options)
     except OSError as error:
         if error.errno != errno.ENOSPC:
@@ -229,9 +250,8 @@ def _listing(source: str | Path | None) -> str:
     if source is None:
         return ""
     root, found = Path(source), hashlib.sha256()
-    for folder, folders, files in os.walk(root):
-        folders.sort()
-        for file in sorted(files):
+    for folder, files in walk(root):
+        for file in files:
             status = os.stat(os.path.join(folder, file))
             found.update(f"{os.path.relpath(folder, root)}/{file} {status.st_size} {status.st_mtime_ns}\n".encode())
     index = index_file(root)

@@ -102,7 +102,7 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     show_table(some, request.name, fingerprint(request.command), written)
     lacking = [row.label for row in rows if row.cfg is not None and not row.complete]
     if lacking:
-        looked = escape(str(Path(some.paths.runs).absolute()))
+        looked = Path(some.paths.runs).absolute()
         console.print(f"[yellow]empty[/]     no complete results for: {', '.join(lacking)} (in {looked})")
     console.print(f"seconds   {total_seconds(rows):.0f} recorded for all stages and replications of this table")
     if failure is not None:

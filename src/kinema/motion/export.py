@@ -1,13 +1,15 @@
-"""Save a motion in the format its file name asks for."""
+"""Save a motion in the format its file name asks for, and read back the one that holds all of it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from kinema.motion.formats.arrays import save_npy, save_npz
+from kinema.motion.formats.arrays import load_npz, save_npy, save_npz
 from kinema.motion.view.html import save_html
 from kinema.motion.view.video import save_mp4, save_strip
 from kinema.types import Motion
+
+__all__ = ["FORMATS", "load_npz", "save"]
 
 
 def save(motion: Motion, path: str | Path) -> Path:

@@ -57,6 +57,21 @@ def extract(
     return rows.astype(np.float32)
 
 
+def extract_every(
+    joints: np.ndarray, skeleton: Skeleton, *, target_bone_lengths: np.ndarray | str | None = None
+) -> Float[np.ndarray, "t d"]:
+    """Make a row for every frame; the last has no step to a next frame, so it repeats the velocities before it.
+
+    The rows in front of it are those of `extract`, which smooths the heading as if the last frame were held.
+    """
+    checked = _checked(joints, skeleton)
+    held = np.concatenate((checked, checked[-1:]))
+    rows = extract(held, skeleton, target_bone_lengths=target_bone_lengths)
+    for group in ("root_yaw", "root_linear", "velocities", "contacts"):
+        rows[-1, skeleton.groups[group]] = rows[-2, skeleton.groups[group]]
+    return rows
+
+
 def canonicalise(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, "t j 3"]:
     """Put a clip on the floor, its first root at the origin, its first frame facing +Z."""
     return to_facing(to_origin(to_floor(joints)), skeleton)
@@ -74,9 +89,14 @@ def to_origin(joints: Float[np.ndarray, "t j 3"]) -> Float[np.ndarray, "t j 3"]:
 
 def to_facing(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, "t j 3"]:
     """Turn a clip about +Y so that its first frame faces +Z; one whose hips and shoulders lie upright stays."""
+    return rotate_yaw(joints, facing_yaw(joints, skeleton))
+
+
+def facing_yaw(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> float:
+    """Return the yaw that turns a clip's first frame to +Z; 0 where hips and shoulders lie upright."""
     right_hip, left_hip, right_shoulder, left_shoulder = (joints[:1, joint] for joint in skeleton.face_joints)
     across = unit((right_hip - left_hip) + (right_shoulder - left_shoulder))
-    return rotate_yaw(joints, _yaw_to_front(_forward(across)).item())
+    return _yaw_to_front(_forward(across)).item()
 
 
 def heading(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Float[np.ndarray, " t"]:

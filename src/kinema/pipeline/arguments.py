@@ -56,7 +56,7 @@ def _spread(values: Any, size: int) -> list[Any]:
 def paired(motions: Motion | Sequence[Motion], texts: str | Sequence[str]) -> tuple[list[Motion], list[str]]:
     """Return motions and texts of one length; a single one goes with all of the others."""
     motions = [motions] if isinstance(motions, Motion) else list(motions)
-    texts = check_texts([texts] if isinstance(texts, str) else list(texts))
+    texts = check_texts(texts)
     size = max(len(motions), len(texts))
     motions = motions * size if len(motions) == 1 else motions
     texts = texts * size if len(texts) == 1 else texts

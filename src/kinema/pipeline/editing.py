@@ -12,8 +12,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.motion.body_parts import columns_of
+from kinema.motion.placement import Placement
+from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
-from kinema.types import LatentSpace, Motion, MotionBatch
+from kinema.pipeline.kept import stretches
+from kinema.types import LatentSpace, Motion, MotionBatch, frame_mask
 
 Ranges = list[tuple[int, int]]
 """Half-open ranges of frames to regenerate."""
@@ -88,6 +91,32 @@ def edited_frames(ranges: Sequence[Ranges], size: int) -> Bool[Tensor, "b t"]:
     return mask
 
 
+def widened(edited: Bool[Tensor, "b t"], frames: Int[Tensor, " b"], space: LatentSpace) -> Bool[Tensor, "b t"]:
+    """Keep whole latents where a kept stretch would hold none: the generator then knows it, and can lead to it.
+
+    Pasted alone, a stretch would stand in motion that knows nothing of it. `frames` counts those of the clips without
+    what fills up their last latents. Raises ValueError if that leaves nothing to regenerate.
+    """
+    unit = space.in_time("keeping a part of a motion")
+    rows, starts, ends = stretches(~edited & frame_mask(frames, edited.shape[1]))
+    ends = torch.where(ends == frames[rows], space.whole(ends), ends)
+    first, last = starts // unit * unit, -(-ends // unit) * unit
+    short = ends // unit <= -(-starts // unit)
+    narrowed = edited.clone()
+    for row, start, end in zip(rows[short], first[short], last[short], strict=True):
+        narrowed[row, start:end] = False
+    emptied = edited.any(1) & ~narrowed.any(1)
+    if emptied.any():
+        i = int(emptied.int().argmax())
+        touched = edited[i].nonzero().flatten() // unit * unit
+        whole = f"{int(touched[0])}:{min(int(touched[-1]) + unit, int(frames[i]))}"
+        raise ValueError(
+            f"nothing of motion {i} is left to regenerate: {unit} frames make one latent, and frames beside yours in "
+            f"it are kept; regenerate whole latents, frames {whole} or more"
+        )
+    return narrowed
+
+
 def kept_latents(edited: Bool[Tensor, "b t"], space: LatentSpace) -> Bool[Tensor, "b n"]:
     """Keep the latents none of whose frames is regenerated."""
     return ~edited.unflatten(1, (-1, space.in_time("keeping a part of a motion"))).any(-1)
@@ -129,8 +158,11 @@ def stack_sources(
     return torch.from_numpy(stacked), frames, filled
 
 
-def parse_ranges(text: str, length: int, fps: float) -> Ranges:
-    """Read "20:60,80:" (frames) or "1s:2.5s" (seconds), or give the ranges of a named task."""
+def parse_ranges(text: str, length: int, fps: float, *, kept: bool = False) -> Ranges:
+    """Read "20:60,80:" (frames) or "1s:2.5s" (seconds), or a named task, as the ranges to regenerate.
+
+    With `kept` the ranges are those that stay. A task is named by what stays, however it is asked for.
+    """
     if text in TASKS:
         return _resolve(text, length)
     ranges = []
@@ -140,7 +172,8 @@ def parse_ranges(text: str, length: int, fps: float) -> Ranges:
             tasks = ", ".join(TASKS)
             raise ValueError(f"range {part!r} is no START:END; give frames (20:60), seconds (1s:2.5s) or {tasks}")
         ranges.append((_frame(start or "0", fps), _frame(end or str(length), fps)))
-    return _resolve(ranges, length)
+    found = _resolve(ranges, length)
+    return complement(found, length) if kept else found
 
 
 def complement(ranges: Ranges, length: int) -> Ranges:
@@ -148,6 +181,23 @@ def complement(ranges: Ranges, length: int) -> Ranges:
     edited = edited_frames([ranges], length)[0].tolist()
     borders = [i for i in range(length + 1) if (i < length and not edited[i]) != (i > 0 and not edited[i - 1])]
     return list(zip(borders[::2], borders[1::2], strict=True))
+
+
+def in_place(made: Motion, source: Motion, skeleton: Skeleton) -> Motion:
+    """Put an edit where its source's joints are: features know neither place nor facing (HUMANML3D_DATA §3)."""
+    rows = recover_joints(torch.from_numpy(source.features), skeleton).numpy()
+    return replace(made, joints=Placement.between(rows, source.joints, skeleton).apply(made.joints))
+
+
+def largest_seam(motion: Motion) -> tuple[int, float] | None:
+    """Return the frame between kept and new motion into which a joint moves farthest, and how far; None: no seam."""
+    if motion.kept is None:
+        return None
+    seams = np.flatnonzero(np.diff(motion.kept.astype(np.int8))) + 1
+    if not len(seams):
+        return None
+    steps = np.linalg.norm(motion.joints[seams] - motion.joints[seams - 1], axis=-1).max(-1)
+    return int(seams[steps.argmax()]), float(steps.max())
 
 
 def _frame(text: str, fps: float) -> int:

@@ -24,7 +24,16 @@ from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import batches, check_length, frame_counts, paired
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
-from kinema.pipeline.editing import Ranges, edited_features, edited_frames, kept_latents, resolve_ranges, stack_sources
+from kinema.pipeline.editing import (
+    Ranges,
+    edited_features,
+    edited_frames,
+    in_place,
+    kept_latents,
+    resolve_ranges,
+    stack_sources,
+    widened,
+)
 from kinema.pipeline.editing import paste as paste_kept
 from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept, encode_kept_features
@@ -149,7 +158,7 @@ class TextToMotion:
         Keyword arguments replace fields of the generator's sampling. The same seed gives the same list; a motion's
         own `seed` gives it again alone. Raises ValueError for empty texts, lengths out of range, unknown fields.
         """
-        texts = check_texts([texts] if isinstance(texts, str) else list(texts))
+        texts = check_texts(texts)
         options = self.changed_sampling(sampling)
         seeds = request_seeds(seed, len(texts))
         counts = self._lengths(frames, seconds, len(texts))
@@ -164,7 +173,7 @@ class TextToMotion:
 
     def chain(
         self,
-        texts: Sequence[str],
+        texts: str | Sequence[str],
         frames: int | Sequence[int] | None = None,
         *,
         seconds: float | Sequence[float] | None = None,
@@ -178,7 +187,7 @@ class TextToMotion:
         are known and what is between them, in whole latents, is generated to the text of the first (BAD §5, MMM). All
         latents are decoded at once. The motion may be longer than any clip of the training.
         """
-        texts = check_texts(list(texts))
+        texts = check_texts(texts)
         check_value(transition, Count, "transition")
         options, space = self.changed_sampling(sampling), self.generator.space
         most = self.max_frames // space.in_time("joining motions")
@@ -214,9 +223,11 @@ class TextToMotion:
         """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
 
         `parts` ("upper" or "lower") regenerates that part of the body alone, in `frames` or (None) in the whole motion;
-        only methods that generate frames can. Kept features come back bit-equal; the root is integrated from the rows,
-        so that what follows an edit moves on from where the edit ends. `paste=False` gives the raw decoding, which the
-        papers' tables use. Raises ValueError if neither is given.
+        only methods that generate frames can. A task's name says what stays: the first half, the second, both ends, the
+        middle. Kept features come back bit-equal, and the motion stands and faces as its joints did; the root is
+        integrated from the rows, so that what follows an edit moves on from where the edit ends. A kept stretch that
+        fills no latent is widened to those it touches. `paste=False` gives the raw decoding, as in the papers' tables.
+        Raises ValueError if neither is given, or if nothing is left to regenerate.
         """
         motions, texts = paired(motions, texts)
         options = self.changed_sampling(sampling)
@@ -235,22 +246,23 @@ class TextToMotion:
                     motions[part], self.tokenizer.representation.width, self.tokenizer.space
                 )
                 whole = MotionBatch(source, filled).to(self.device)
-                keep, known = self._known(whole, ranges[part], parts)
+                keep, known = self._known(whole, counts.to(self.device), ranges[part], parts)
                 text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
                 batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
                 batch = paste_kept(batch, whole.features, keep) if paste else batch
                 edited += self._motions(batch, texts[part], seeds[part], keep)
-        return edited
+        return [in_place(made, source, self.skeleton) for made, source in zip(edited, motions, strict=True)]
 
-    def _known(self, source: MotionBatch, ranges: list[Ranges], parts: str | None) -> tuple[Tensor, Known]:
-        """Return what an edit keeps, as a mask over frames or single features and as latents."""
-        size, width = source.features.shape[1:]
+    def _known(self, whole: MotionBatch, sizes: Tensor, ranges: list[Ranges], part: str | None) -> tuple[Tensor, Known]:
+        """Return what an edit keeps of clips of so many frames, as a mask over frames or features and as latents."""
+        size, width = whole.features.shape[1:]
         regenerate = edited_frames(ranges, size).to(self.device)
-        if parts is None:
+        if part is None:
+            regenerate = widened(regenerate, sizes, self.tokenizer.space)
             kept = kept_latents(regenerate, self.tokenizer.space)
-            return ~regenerate, encode_kept(self.tokenizer, source, kept)
-        keep = ~edited_features(regenerate, parts, self.skeleton, width)
-        return keep, encode_kept_features(self.tokenizer, source, keep)
+            return ~regenerate, encode_kept(self.tokenizer, whole, kept)
+        keep = ~edited_features(regenerate, part, self.skeleton, width)
+        return keep, encode_kept_features(self.tokenizer, whole, keep)
 
     def _motions(
         self, batch: MotionBatch, texts: list[str], seeds: list[int], keep: Tensor | None = None

@@ -6,6 +6,7 @@ It is no nn.Module, so that a model that holds one doesn't register, save, avera
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from typing import Protocol, runtime_checkable
 
@@ -15,6 +16,7 @@ from torch import Tensor
 from kinema.types import TextFeatures, frame_mask
 
 CHUNK = 128
+_SURROGATE = re.compile("[\ud800-\udfff]")
 
 
 @runtime_checkable
@@ -36,15 +38,18 @@ class FrozenTextEncoder(Protocol):
 
 
 def check_texts(texts: Iterable[object]) -> list[str]:
-    """Refuse what no encoder can encode; gives the texts as a list."""
-    if isinstance(texts, str):
-        raise ValueError(f"texts must be a list of strings, got the string {texts!r}; pass [{texts!r}]")
+    """Refuse what no encoder can encode; gives the texts as a list, a bare string as a list of one."""
     checked = []
-    for i, text in enumerate(texts):
+    for i, text in enumerate([texts] if isinstance(texts, str) else texts):
         if not isinstance(text, str):
             raise ValueError(f"text {i} is {type(text).__name__} {text!r}; every text must be a string")
         if not text.strip():
             raise ValueError(f"text {i} is empty; give every motion a prompt such as 'a person walks forward'")
+        if broken := _SURROGATE.search(text):
+            raise ValueError(
+                f"text {i}, {text!r}, is not valid UTF-8 at character {broken.start() + 1}; write it as UTF-8 (a "
+                "terminal or file in another encoding, such as Latin-1, gives this)"
+            )
         checked.append(text)
     if not checked:
         raise ValueError("no texts were given; pass at least one string")
