@@ -18,23 +18,24 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "nn", "masking"}
+FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "plaintext", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
     # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so are
-    # `atomic`, `locks`, `seeds` and `devices`, which know nothing else of kinema; text to generators that read strings
-    # and all behind; interop stands beside pipeline; report reads results only.
+    # `atomic`, `locks`, `seeds`, `devices` and `plaintext`, which know nothing else of kinema; text to generators that
+    # read strings and all behind; interop stands beside pipeline; report reads results only.
     "types": set(),
     "atomic": set(),
     "locks": set(),
     "seeds": set(),
     "devices": set(),
+    "plaintext": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
     "motion": {"types", "atomic"},
-    "data": {"types", "atomic", "locks", "seeds", "motion"},
-    "text": {"types", "atomic", "locks", "seeds"},
+    "data": {"types", "atomic", "locks", "seeds", "plaintext", "motion"},
+    "text": {"types", "atomic", "locks", "seeds", "plaintext"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
