@@ -24,8 +24,9 @@ CHECKER = (
     "int: int | __import__('numpy').integer, float: float | int | __import__('numpy').number, "
     "__import__('typing').Self: object})))"
 )
-CHECKED = ("types", "atomic", "locks", "seeds", "devices", "masking", "nn", "motion", "data", "diffusion", "decoding")
-CHECKED += ("runs", "pipeline", "evaluation", "report", "experiments", "cli", "generators", "tokenizers", "interop")
+CHECKED = ("types", "atomic", "files", "locks", "seeds", "devices", "masking", "nn", "motion", "data", "diffusion")
+CHECKED += ("decoding", "runs", "pipeline", "evaluation", "report", "experiments", "cli", "generators", "tokenizers")
+CHECKED += ("interop",)
 CHECKED += tuple(
     f"training.{name}"
     for name in (

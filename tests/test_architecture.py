@@ -18,30 +18,30 @@ MODULES = {
 }
 MOST_LINES = 350
 
-FOUNDATION = {"types", "atomic", "locks", "seeds", "devices", "plaintext", "nn", "masking"}
+FOUNDATION = {"types", "atomic", "files", "locks", "seeds", "devices", "nn", "masking"}
 MODEL = {*FOUNDATION, "motion", "diffusion", "decoding"}
 MAY_IMPORT = {
     # `types, nn, masking -> diffusion, decoding -> tokenizers, generators -> runs -> pipeline -> evaluation -> training
     # -> experiments -> cli`; `motion -> data`; motion is open to all (a joint loss needs recovery), and so are
-    # `atomic`, `locks`, `seeds`, `devices` and `plaintext`, which know nothing else of kinema; text to generators that
-    # read strings and all behind; interop stands beside pipeline; report reads results only.
+    # `atomic`, `files`, `locks`, `seeds` and `devices`, which know nothing else of kinema; text to generators that read
+    # strings and all behind; interop stands beside pipeline; report reads results only.
     "types": set(),
     "atomic": set(),
+    "files": set(),
     "locks": set(),
     "seeds": set(),
     "devices": set(),
-    "plaintext": set(),
     "masking": {"types"},
     "nn": {"types", "masking"},
-    "motion": {"types", "atomic"},
-    "data": {"types", "atomic", "locks", "seeds", "plaintext", "motion"},
-    "text": {"types", "atomic", "locks", "seeds", "plaintext"},
+    "motion": {"types", "atomic", "files"},
+    "data": {"types", "atomic", "files", "locks", "seeds", "motion"},
+    "text": {"types", "atomic", "files", "locks", "seeds"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,
     "generators": {*MODEL, "text", "tokenizers"},
-    "runs": {"atomic", "locks"},
-    "report": {"types", "atomic", "motion"},
+    "runs": {"atomic", "files", "locks"},
+    "report": {"types", "atomic", "files", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT["pipeline"], "pipeline", "data"}

@@ -120,7 +120,9 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--frames", type=int, help="length in frames")
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
-    change.add_argument("--motion", required=True, help=".npz that generate wrote, or joints (T, J, 3) as .npy")
+    change.add_argument(
+        "--motion", required=True, help=".npz that generate wrote; joints (T, J, 3) or features as .npy"
+    )
     change.add_argument("--text", required=True, help="what the person does")
     which = change.add_mutually_exclusive_group()
     which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
@@ -134,6 +136,7 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
+    _add_convention(change)
     read = add("import", "turn a published checkpoint into a run folder", "import_checkpoint")
     read.add_argument("kind", choices=KINDS)
     read.add_argument("file", help="published .tar, .pth, .pt or .safetensors")
@@ -159,22 +162,36 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--skeleton", default="humanml3d", help="skeleton of joints and synthetic (default humanml3d)")
     pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
     pack.add_argument("--processes", type=int, help="processes that extract features")
-    _add_settings(pack, "reader option, e.g. size=400 of synthetic")
-    check = add("doctor", "examine a corpus, a packed store or a file of joints")
+    _add_convention(pack)
+    _add_settings(pack, "reader option, e.g. size=400 of synthetic; max_missing or max_unusable, shares of clips")
+    check = add("doctor", "examine a corpus, a packed store or a file of motion")
     check.add_argument(
         "what",
         nargs="+",
         metavar="PATH | KEY=VALUE...",
-        help="corpus folder, packed store or .npy of joints; or overrides that name a corpus of the configuration "
-        "(data=open_mocap), which is prepared first",
+        help="corpus folder, packed store or file of motion (.npy, .npz); or overrides that name a corpus of the "
+        "configuration (data=open_mocap), which is prepared first",
     )
     check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
     check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    _add_convention(check)
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
     return parser
+
+
+def _add_convention(parser: argparse.ArgumentParser) -> None:
+    """Add what can be told of foreign joints (`kinema.motion.convention.Convention`)."""
+    told = parser.add_argument_group("how joints are written", "what is not told is checked, what is told is believed")
+    told.add_argument("--up", metavar="AXIS", help="axis that points up: x, y, z, -x, -y, -z")
+    told.add_argument("--handed", choices=("left", "right"), help="left for left-handed coordinates (Unity, Unreal)")
+    told.add_argument("--scale", type=float, help="factor to metres (KIT: its own mm): 0.01 for centimetres")
+    told.add_argument(
+        "--order", help="order of joints: swapped, limbs, limbs-right, trunk, trunk-right, or their names"
+    )
+    told.add_argument("--fps", type=float, help="their frame rate; they are resampled to the skeleton's")
 
 
 def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import os
 import platform
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +14,16 @@ import numpy as np
 import torch
 
 from kinema.data import doctor as examine
-from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
+from kinema.data.prepare import read_corpus
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
-from kinema.motion.features import extract_every
-from kinema.motion.formats.arrays import load_npy, load_npz
-from kinema.motion.lifting import lift
+from kinema.motion.convention import Convention
+from kinema.motion.recording import read_motion
 from kinema.motion.representation import Representation
-from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import largest_seam, parse_ranges
@@ -60,7 +57,8 @@ def edit(options: argparse.Namespace) -> None:
     if given is None and options.parts is None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
-    motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width)
+    told = _convention(options)
+    motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width, told)
     frames = None
     if given is not None:
         size = len(motion.features)
@@ -77,28 +75,6 @@ def edit(options: argparse.Namespace) -> None:
     _write(made, files)
     if (kept := made[0].kept) is not None:
         print(_stayed(made[0], kept, model.skeleton))
-
-
-def read_motion(path: str | Path, skeleton: Skeleton, width: int) -> Motion:
-    """Read a motion with a row of `width` columns for each frame; joints stay where they are and face as they do.
-
-    Rows that are narrower are completed, those of joints alone extracted with the skeleton's own bone lengths.
-    """
-    path = Path(path)
-    if path.suffix == ".npz":
-        motion = load_npz(path)
-        if motion.features.ndim == 2 and motion.features.shape[1] >= width:
-            return motion
-        if motion.features.ndim == 2 and motion.features.shape[1] >= skeleton.essential_width:
-            return replace(motion, features=lift(motion.features, skeleton))
-        joints, text = motion.joints, motion.text
-    elif path.suffix == ".npy":
-        joints, text = load_npy(path), ""
-    else:
-        raise ValueError(f"cannot read a motion from {path}; give .npz or joints (frames, joints, 3) as .npy")
-    lengths = None if skeleton.bone_lengths is None else "skeleton"  # as corpora are prepared
-    features = extract_every(joints, skeleton, target_bone_lengths=lengths)
-    return Motion(joints, features, text, skeleton.name, skeleton.fps)
 
 
 def import_checkpoint(options: argparse.Namespace) -> None:
@@ -119,20 +95,21 @@ def prepare(options: argparse.Namespace) -> None:
     """Turn a corpus into a packed store."""
     official = options.format in ("humanml3d", "kit")
     skeleton = options.format if official else options.skeleton
-    module, _, function = READERS["official" if official else options.format].partition(":")
-    settings = options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    reader = "official" if official else options.format
+    told = {name: value for name, value in vars(_convention(options)).items() if value is not None}
+    settings = told | options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    limits = {name: settings.pop(name) for name in ("max_missing", "max_unusable") if name in settings}
     if (options.source is None) != (options.format == "synthetic"):
         needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
         raise ValueError(f"--format {options.format} {needs}")
-    source = [] if options.source is None else [options.source]
-    catalog = getattr(importlib.import_module(module), function)(*source, **settings)
     path = write_store(
-        catalog,
+        read_corpus(reader, options.source, **settings),
         options.out,
         name=options.name or options.format,
         skeleton=skeleton,
         mirror=not official and not options.no_mirror,
         processes=options.processes or min(4, os.cpu_count() or 1),
+        **limits,
     )
     store = PackedStore.open(path)
     print(f"wrote {path}: {store!r}")
@@ -146,7 +123,7 @@ def doctor(options: argparse.Namespace) -> int:
         path, source = open_corpus(cfg), source or cfg.data.source
     elif len(options.what) > 1:
         raise ValueError(f"doctor takes one path, or KEY=VALUE overrides, not {' '.join(options.what)}")
-    findings = examine.diagnose(path, source=source)
+    findings = examine.diagnose(path, source=source, convention=_convention(options))
     print(examine.format(findings))
     return examine.exit_code(findings, strict=options.strict)
 
@@ -197,6 +174,10 @@ def _lengths(options: argparse.Namespace, prompts: list[Prompt]) -> dict[str, An
         bare = prompts[frames.index(None)].text
         raise ValueError(f"prompt {bare!r} says no length and others do; write {bare}#120, or give --frames for such")
     return {"frames": frames}
+
+
+def _convention(options: argparse.Namespace) -> Convention:
+    return Convention(**{field.name: getattr(options, field.name) for field in fields(Convention)})
 
 
 def _model(options: argparse.Namespace) -> TextToMotion:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +12,10 @@ from typing import Any, Literal
 import numpy as np
 
 from kinema.data.captions import AnnotatedCaption, parse_line
+from kinema.data.folders import listed_names, stems
 from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
+from kinema.files.arrays import NUMBERS, Wanted, read_npy
+from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.skeleton import get_skeleton
 from kinema.motion.statistics import Statistics
 
@@ -20,14 +23,16 @@ VERSION = 2
 """Raised when a reader gives other clips of the same source."""
 
 SPLITS = ("train", "val", "test")
+UNTOLD = "taken for granted: no option (fps) and no file tells it"
 
 
 @dataclass(frozen=True)
 class Clip:
     """Hold one clip: its captions, and a callable that loads its motion, so that a corpus need not sit in memory.
 
-    Exactly one of `joints` (-> (T, J, 3), Y up, in the skeleton's unit and frame rate) and `features` (-> (T, D) full
-    width) is given; it must be picklable (a `functools.partial` of a module's function) to be loaded by processes.
+    Exactly one of `joints` (-> (T, J, 3), Y up, in the skeleton's unit and frame rate unless `convention` says another)
+    and `features` (-> (T, D) full width) is given; it must be picklable (a `functools.partial` of a module's function)
+    to be loaded by processes.
     `fields` holds what is known of the clip, e.g. source, label, licence; `origin` its take and frames there.
     """
 
@@ -39,6 +44,7 @@ class Clip:
     features: Callable[[], np.ndarray] | None = None
     mirrored: bool = False
     origin: Origin | None = None
+    convention: Convention = AS_IS
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -52,22 +58,28 @@ class Dropped:
     """Say what was left out and why.
 
     `what`: "missing" (a listed clip without its files), "clip" (unusable motion), "entry" (outside the length filter,
-    its windows are kept) or "caption" (unreadable line).
+    its windows are kept) or "caption" (unreadable line). `kind` and `fix` are those of an unusable motion's problem.
     """
 
     name: str
     split: str
     what: Literal["missing", "clip", "entry", "caption"]
     reason: str
+    kind: str = ""
+    fix: str = ""
 
 
 @dataclass(frozen=True)
 class Catalog:
-    """Hold the clips of a corpus in split order, what was dropped on the way, and the statistics it ships with."""
+    """Hold the clips of a corpus in split order, what was dropped on the way, and the statistics it ships with.
+
+    `rate` says where the frame rate of its joints is known from.
+    """
 
     clips: list[Clip]
     dropped: list[Dropped] = field(default_factory=list)
     statistics: Statistics | None = None
+    rate: str = ""
 
     def __iter__(self) -> Iterator[Clip]:
         return iter(self.clips)
@@ -76,14 +88,42 @@ class Catalog:
         return len(self.clips)
 
 
-def read_joints_folder(path: str | Path, split: str | None = None) -> Catalog:
+def read_joints_folder(
+    path: str | Path,
+    split: str | None = None,
+    *,
+    up: str | None = None,
+    handed: Literal["left", "right"] | None = None,
+    scale: float | None = None,
+    order: str | None = None,
+    fps: float | None = None,
+) -> Catalog:
     """Read `joints/NAME.npy` (T, J, 3), `texts/NAME.txt` and the split files: the layout of open-mocap.
 
     `texts/` may be absent (a corpus without captions). An optional `manifest.json`, a list of objects with a `name`,
-    gives every clip's fields; `split` names a folder in there with other split files. A clip `MNAME` beside `NAME` is
-    taken for the mirror image of it, `NAME_sK` for the K-th piece of a take, unless an `index.csv` says otherwise.
+    gives every clip's fields, `fps` among them; `split` names a folder in there with other split files. A clip `MNAME`
+    beside `NAME` is taken for the mirror image of it, `NAME_sK` for the K-th piece of a take, unless an `index.csv`
+    says otherwise. The other options say how the joints are written (`Convention`); `fps` comes before the manifest's.
     """
-    return _read_folder(Path(path), "joints", _read_fields(Path(path) / "manifest.json"), split)
+    told = Convention(up, handed, scale, order, fps)
+    known = _read_fields(Path(path) / "manifest.json")
+    catalog = _read_folder(Path(path), "joints", known, split)
+    if fps is not None:
+        return replace(catalog, clips=[replace(c, convention=told) for c in catalog], rate=f"{fps:g} fps, asked for")
+    clips = [replace(c, convention=_with_rate(told, c.fields.get("fps", ""), c.name)) for c in catalog]
+    rates = sorted({c.convention.fps for c in clips if c.convention.fps is not None})
+    said = f"{', '.join(f'{rate:g}' for rate in rates)} fps, as manifest.json says" if rates else ""
+    return replace(catalog, clips=clips, rate=said or UNTOLD)
+
+
+def _with_rate(told: Convention, fps: str, name: str) -> Convention:
+    """Add the rate that a manifest tells of a clip."""
+    if not fps:
+        return told
+    try:
+        return replace(told, fps=float(fps))
+    except ValueError:
+        raise ValueError(f"manifest.json: clip {name!r} has fps {fps!r}; write a positive number") from None
 
 
 def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
@@ -113,8 +153,8 @@ def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], spl
     """Read every clip that a split file lists; `motions` names the folder of arrays and so the kind of motion."""
     kind = "joints" if motions == "joints" else "features"
     listed, index = _read_splits(root, motions, split), read_index(root)
-    available = _stems(root / motions, ".npy")
-    texts = _stems(root / "texts", ".txt") if (root / "texts").is_dir() else None
+    available = set(stems(root / motions, ".npy"))
+    texts = set(stems(root / "texts", ".txt")) if (root / "texts").is_dir() else None
     clips, dropped = [], []
     for name, split in listed.items():
         lacking = [f"{motions}/{name}.npy"] if name not in available else []
@@ -134,11 +174,8 @@ def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], spl
 
 
 def load_array(file: str) -> np.ndarray:
-    """Load a .npy file; one that would execute code, or is cut off, raises ValueError."""
-    try:
-        return np.load(file, allow_pickle=False)
-    except EOFError as error:
-        raise ValueError(f"{file} is cut off: {error}") from None
+    """Load a .npy file of numbers; one that would execute code, or is cut off, raises ValueError."""
+    return read_npy(file, Wanted(NUMBERS), fix="copy it again, or take the clip off the lists")
 
 
 def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str, str]:
@@ -152,8 +189,7 @@ def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str
         raise FileNotFoundError(f"corpus folder {root} {state}; expected layout: {layout}")
     found: dict[str, str] = {}
     for part in SPLITS:
-        lines = (lists / f"{part}.txt").read_text(encoding="utf-8-sig").splitlines()
-        for name in filter(None, map(str.strip, lines)):
+        for name in listed_names(lists / f"{part}.txt"):
             if name in found:
                 where = f"twice in {part}.txt" if found[name] == part else f"in {found[name]}.txt and {part}.txt"
                 raise ValueError(f"{lists}: clip {name!r} is listed {where}; list it once")
@@ -161,11 +197,6 @@ def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str
     if not found:
         raise ValueError(f"{lists}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
     return found
-
-
-def _stems(folder: Path, suffix: str) -> set[str]:
-    """List the names below a folder that have a suffix, without it; one directory scan instead of a stat per name."""
-    return {file.relative_to(folder).as_posix().removesuffix(suffix) for file in folder.rglob(f"*{suffix}")}
 
 
 def _read_captions(file: Path) -> tuple[list[AnnotatedCaption], list[str]]:

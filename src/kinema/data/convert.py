@@ -10,15 +10,9 @@ from kinema.motion.features import extract
 from kinema.motion.mirror import mirror_joints
 from kinema.motion.skeleton import Skeleton, get_skeleton
 
-FATAL = ("nan", "bone")
-"""Problems that leave a clip without features. A jump does not; `kinema doctor` shows it."""
-
 
 def convert(job: tuple[Clip, str, bool]) -> Dropped | list[np.ndarray]:
-    """Load a clip (clip, skeleton name, mirror too?); give its features and its mirror image's, or why it has none.
-
-    Raises ValueError for an array of the wrong shape: then the whole corpus is not what it was taken for.
-    """
+    """Load a clip (clip, skeleton name, mirror too?); give its features and its mirror image's, or why it has none."""
     clip, name, mirror = job
     skeleton = get_skeleton(name)
     load = clip.features or clip.joints
@@ -26,33 +20,39 @@ def convert(job: tuple[Clip, str, bool]) -> Dropped | list[np.ndarray]:
     try:
         array = load()
     except (OSError, ValueError) as error:
-        return Dropped(clip.name, clip.split, "clip", f"unreadable: {error}")
+        return _dropped(clip, f"unreadable: {error}", "", "")
     if clip.features is not None:
         return _checked_features(clip, array, skeleton)
-    if array.ndim != 3 or array.shape[1:] != (skeleton.num_joints, 3):
-        raise ValueError(
-            f"clip {clip.name!r} has joints of shape {array.shape}; {name} needs (frames, {skeleton.num_joints}, 3), "
-            "joints in the order of kinema.motion.skeleton"
-        )
-    if len(array) < 2:
-        return Dropped(clip.name, clip.split, "clip", f"{len(array)} frames; features need at least 2")
-    problems = [p for p in check_clip(array, skeleton, skeleton.fps) if p.kind in FATAL]
-    if problems:
-        return Dropped(clip.name, clip.split, "clip", problems[0].message)
-    poses = [array, mirror_joints(array, skeleton)] if mirror else [array]
+    try:
+        joints = clip.convention.apply(array, skeleton)
+    except ValueError as error:
+        return _dropped(clip, str(error), "shape", "write joints as the message says, or take the clips off the lists")
+    for problem in check_clip(joints, skeleton, skeleton.fps, clip.convention):
+        if problem.fatal:
+            return _dropped(clip, problem.message, problem.kind, problem.fix)
+    poses = [joints, mirror_joints(joints, skeleton)] if mirror else [joints]
     lengths = None if skeleton.bone_lengths is None else "skeleton"
     return [extract(pose, skeleton, target_bone_lengths=lengths) for pose in poses]
 
 
+def _dropped(clip: Clip, reason: str, kind: str, fix: str) -> Dropped:
+    return Dropped(clip.name, clip.split, "clip", reason, kind, fix)
+
+
 def _checked_features(clip: Clip, array: np.ndarray, skeleton: Skeleton) -> Dropped | list[np.ndarray]:
     if array.ndim != 2 or array.shape[1] != skeleton.feature_width:
-        raise ValueError(
-            f"clip {clip.name!r} has features of shape {array.shape}; {skeleton.name} needs (frames, "
-            f"{skeleton.feature_width}), the full width: `representation` selects the essential part at training time"
+        needed = f"{skeleton.name} needs (frames, {skeleton.feature_width}), the full width"
+        reason = (
+            f"features have shape {array.shape}; {needed}: `representation` selects the essential part at training time"
         )
+        if array.ndim == 3:
+            reason = (
+                f"features have shape {array.shape}; {needed}: these are joints, for a joints folder (--format joints)"
+            )
+        return _dropped(clip, reason, "shape", "take the folder of the full features (new_joint_vecs) of this skeleton")
     if len(array) == 0:
-        return Dropped(clip.name, clip.split, "clip", "no frames")
+        return _dropped(clip, "no frames", "", "")
     bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
     if len(bad):
-        return Dropped(clip.name, clip.split, "clip", f"NaN or infinite values in {len(bad)} frames, first {bad[0]}")
+        return _dropped(clip, f"NaN or infinite values in {len(bad)} frames, first {bad[0]}", "nan", "extract it again")
     return [array]

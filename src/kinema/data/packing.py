@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,11 @@ class StoreWriter:
         """Close the features; needed where `finish` was not reached."""
         self._file.close()
 
+    @property
+    def dropped(self) -> list[Dropped]:
+        """What was left out so far."""
+        return self._dropped
+
     def drop(self, dropped: Dropped) -> None:
         """Note what was left out."""
         self._dropped.append(dropped)
@@ -61,13 +67,10 @@ class StoreWriter:
         self._fields.append(clip.fields)
         # n + 1 frames of joints make n rows of features.
         self._origins.append(clip.origin and clip.origin.ending(len(rows) + 1))
-        whole = [c for c in clip.captions if not c.tagged]
-        tagged = [c for c in clip.captions if c.tagged]
-        if whole or not tagged:
-            self._add_entry(clip, 0, len(rows), whole, -1)
-        for part, caption in enumerate(tagged):
-            start, stop = (min(int(t * self.tag_fps), len(rows)) for t in (caption.start, caption.end))
-            self._add_entry(clip, start, stop - start, [caption], part)
+        entries, filtered = cut_entries(clip, len(rows), self.skeleton, self.tag_fps)
+        self._dropped += filtered
+        for entry in entries:
+            self._add_entry(clip, entry)
         self.frames += len(rows)
 
     def finish(self, statistics: Statistics | None, options: dict[str, Any]) -> dict[str, Any]:
@@ -122,17 +125,11 @@ class StoreWriter:
             whole.update(own.digest().encode())
         return whole.hexdigest()
 
-    def _add_entry(self, clip: Clip, start: int, frames: int, captions: list[AnnotatedCaption], part: int) -> None:
-        low, high = self.skeleton.min_frames, self.skeleton.max_frames
-        if not low <= frames < high:
-            what = "the clip" if part < 0 else f"part {part} ({captions[0].start:g} to {captions[0].end:g} s)"
-            reason = f"{what} has {max(frames, 0)} frames, entries need {low} <= frames < {high}"
-            self.drop(Dropped(clip.name, clip.split, "entry", reason))
-            return
+    def _add_entry(self, clip: Clip, entry: Entry) -> None:
         split, first = SPLITS.index(clip.split), len(self._captions)
-        self._captions += [self._caption(c.caption) for c in captions]
-        where = (self.frames + start, frames, split, clip.mirrored)
-        self._entries.append((*where, len(self._clips) - 1, first, len(captions), part))
+        self._captions += [self._caption(c.caption) for c in entry.captions]
+        where = (self.frames + entry.start, entry.frames, split, clip.mirrored)
+        self._entries.append((*where, len(self._clips) - 1, first, len(entry.captions), entry.part))
 
     def _caption(self, caption: Caption) -> tuple[int, int]:
         return self._intern(caption.text), self._intern(" ".join(caption.tokens))
@@ -195,6 +192,40 @@ class StoreWriter:
     def _dropped_counts(self) -> dict[str, int]:
         counts = Counter(d.what for d in self._dropped)
         return {what: counts[what] for what in ("missing", "clip", "entry", "caption")}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Hold frames [start, start + frames) of a clip and the captions about them; `part` -1 is the whole clip."""
+
+    start: int
+    frames: int
+    captions: list[AnnotatedCaption]
+    part: int
+
+
+def cut_entries(clip: Clip, rows: int, skeleton: Skeleton, tag_fps: float) -> tuple[list[Entry], list[Dropped]]:
+    """Cut a clip of so many rows into its entries, itself and its time-tagged parts; say which have no usable length.
+
+    `tag_fps` turns the seconds of time-tagged captions into frames.
+    """
+    whole = [c for c in clip.captions if not c.tagged]
+    tagged = [c for c in clip.captions if c.tagged]
+    found = [Entry(0, rows, whole, -1)] if whole or not tagged else []
+    for part, caption in enumerate(tagged):
+        start, stop = (min(int(t * tag_fps), rows) for t in (caption.start, caption.end))
+        found.append(Entry(start, stop - start, [caption], part))
+    low, high = skeleton.min_frames, skeleton.max_frames
+    kept, filtered = [], []
+    for entry in found:
+        if low <= entry.frames < high:
+            kept.append(entry)
+            continue
+        times = f"({entry.captions[0].start:g} to {entry.captions[0].end:g} s)" if entry.part >= 0 else ""
+        what = "the clip" if entry.part < 0 else f"part {entry.part} {times}"
+        reason = f"{what} has {max(entry.frames, 0)} frames, entries need {low} <= frames < {high}"
+        filtered.append(Dropped(clip.name, clip.split, "entry", reason))
+    return kept, filtered
 
 
 def _compare(own: Statistics | None, computed: Statistics) -> dict[str, Any]:

@@ -11,10 +11,11 @@ import multiprocessing
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ import numpy as np
 from kinema.atomic import staging_folder
 from kinema.data.catalog import Catalog, Clip, Dropped
 from kinema.data.convert import convert
+from kinema.data.folders import walk
+from kinema.data.leftout import MAX_UNUSABLE, check_share, told_of
 from kinema.data.origin import index_file
 from kinema.data.packing import StoreWriter
 from kinema.data.store import FORMAT, PackedStore
@@ -53,6 +56,7 @@ def prepare_store(
     mirror: bool | None = None,
     legacy_fps: bool = False,
     max_missing: float = 0.05,
+    max_unusable: float = MAX_UNUSABLE,
     processes: int = 1,
     **reader_options: Any,
 ) -> Path:
@@ -62,22 +66,41 @@ def prepare_store(
     corpus that is generated. `mirror` defaults to True, except for official folders, which hold their mirrored clips
     already. The other options are those of `prepare`; what is left goes to the reader.
     """
-    if reader not in READERS:
-        raise ValueError(f"unknown reader {reader!r}; choose one of {', '.join(READERS)}")
+    module, _, takes = _reader(reader)
     mirror = reader != "official" if mirror is None else mirror
     options: dict[str, Any] = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
-    module, _, function = READERS[reader].partition(":")
-    read = getattr(importlib.import_module(module), function)
-    if "skeleton" in inspect.signature(read).parameters:
+    if "skeleton" in takes:
         reader_options["skeleton"] = skeleton
-    versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
+    versions = [FORMAT, VERSION, getattr(module, "VERSION", 1)]
     asked = [versions, reader, options, max_missing, reader_options, _listing(source)]
     request = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:12]
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
     if _request_of(out) == request:
         return out
-    catalog = read(**reader_options) if source is None else read(source, **reader_options)
-    return prepare(catalog, out, **options, max_missing=max_missing, processes=processes, request=request)
+    catalog = read_corpus(reader, source, **reader_options)
+    shares = {"max_missing": max_missing, "max_unusable": max_unusable}
+    return prepare(catalog, out, **options, **shares, processes=processes, request=request)
+
+
+def read_corpus(reader: str, source: str | Path | None, **options: Any) -> Catalog:
+    """Read a corpus with one of the `READERS`; raises ValueError for an option that it doesn't take."""
+    _, read, takes = _reader(reader)
+    if odd := [name for name in options if name not in takes]:
+        hint = ": features have the skeleton's rate, joints folders are resampled" if "fps" in odd else ""
+        raise ValueError(
+            f"reader {reader!r} takes no option {odd[0]!r}{hint}; its options are {', '.join(takes) or 'none'}"
+        )
+    return read(**options) if source is None else read(source, **options)
+
+
+def _reader(name: str) -> tuple[ModuleType, Callable[..., Catalog], tuple[str, ...]]:
+    """Find a reader: the module that it is named by, itself, and the options that it takes beside its source."""
+    if name not in READERS:
+        raise ValueError(f"unknown reader {name!r}; choose one of {', '.join(READERS)}")
+    place, _, function = READERS[name].partition(":")
+    module = importlib.import_module(place)
+    read = getattr(module, function)
+    return module, read, tuple(option for option in inspect.signature(read).parameters if option != "path")
 
 
 def prepare(
@@ -89,6 +112,7 @@ def prepare(
     mirror: bool = True,
     legacy_fps: bool = False,
     max_missing: float = 0.05,
+    max_unusable: float = MAX_UNUSABLE,
     processes: int = 1,
     request: str | None = None,
 ) -> Path:
@@ -98,8 +122,9 @@ def prepare(
     their captions. `legacy_fps` reads time tags at 20 fps for every corpus, as published for KIT. `processes` changes
     only the time it takes. A store that the same `request` made is given back at once.
 
-    Raises ValueError if no clip is usable, if more than the share `max_missing` of the listed clips lacks its files,
-    if an array has the wrong shape, or if `out_dir` holds another content.
+    Raises ValueError if no clip is usable, if more than the share `max_missing` of the listed clips lacks its files
+    or more than `max_unusable` holds no sound motion, or if `out_dir` holds another content. What else is left out is
+    printed, and listed in the store's dropped.json.
     """
     out, body = Path(out_dir), get_skeleton(skeleton)
     catalog = clips if isinstance(clips, Catalog) else Catalog(list(clips))
@@ -111,8 +136,10 @@ def prepare(
         with staging_folder(out, sole=True) as staging:
             writer = StoreWriter(staging, name, body, tag_fps=20.0 if legacy_fps else body.fps)
             options = {"request": request, "mirror": mirror, "legacy_fps": legacy_fps}
-            manifest = _write(catalog, writer, options, processes)
+            manifest = _write(catalog, writer, options, max_unusable, processes)
             _move(staging, out, manifest["hash"])
+    for line in told_of(catalog.rate, writer.dropped, manifest, out):
+        print(line, flush=True)
     return out
 
 
@@ -131,7 +158,9 @@ def _check_catalog(catalog: Catalog, name: str, mirror: bool, max_missing: float
         )
 
 
-def _write(catalog: Catalog, writer: StoreWriter, options: dict[str, Any], processes: int) -> dict[str, Any]:
+def _write(
+    catalog: Catalog, writer: StoreWriter, options: dict[str, Any], max_unusable: float, processes: int
+) -> dict[str, Any]:
     """Write every file of the store; if the disk is full, say how much room is needed."""
     taken = {clip.name for clip in catalog}
     jobs = [(clip, writer.skeleton.name, options["mirror"] and _unmirrored(clip, taken)) for clip in catalog]
@@ -146,6 +175,7 @@ def _write(catalog: Catalog, writer: StoreWriter, options: dict[str, Any], proce
             if len(made) == 2:
                 captions = [caption.mirrored() for caption in clip.captions]
                 writer.add(replace(clip, name=f"M{clip.name}", captions=captions, mirrored=True), made[1])
+        check_share(writer.name, writer.dropped, len(catalog), max_unusable)
         return writer.finish(catalog.statistics, options)
     except OSError as error:
         if error.errno != errno.ENOSPC:
@@ -198,9 +228,8 @@ def _listing(source: str | Path | None) -> str:
     if source is None:
         return ""
     root, found = Path(source), hashlib.sha256()
-    for folder, folders, files in os.walk(root):
-        folders.sort()
-        for file in sorted(files):
+    for folder, files in walk(root):
+        for file in files:
             status = os.stat(os.path.join(folder, file))
             found.update(f"{os.path.relpath(folder, root)}/{file} {status.st_size} {status.st_mtime_ns}\n".encode())
     index = index_file(root)

@@ -23,7 +23,8 @@ class Skeleton:
     shoulder). `contact_threshold` bounds a foot's squared displacement per frame. `leg_joints` are knee and ankle of
     one leg: their bones scale the root path. `rest_directions` has one unit vector per joint, from its parent in the
     rest pose (zero for the root); `bone_lengths` the target lengths, zero for the root. A clip enters the corpus if
-    it has `min_frames` <= rows < `max_frames`. `mirror_pairs` are (left, right).
+    it has `min_frames` <= rows < `max_frames`. `mirror_pairs` are (left, right). `leg_length` is that of a usual body,
+    its `leg_joints` together.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Skeleton:
     min_frames: int
     max_frames: int
     mirror_pairs: tuple[tuple[int, int], ...]
+    leg_length: float
 
     @property
     def num_joints(self) -> int:
@@ -171,6 +173,7 @@ HUMANML3D = Skeleton(
     min_frames=40,
     max_frames=200,
     mirror_pairs=((1, 2), (4, 5), (7, 8), (10, 11), (13, 14), (16, 17), (18, 19), (20, 21)),
+    leg_length=0.815831,
 )
 
 _KIT_CHAINS = (
@@ -201,6 +204,8 @@ KIT = Skeleton(
     min_frames=24,
     max_frames=200,
     mirror_pairs=((8, 5), (9, 6), (10, 7), (16, 11), (17, 12), (18, 13), (19, 14), (20, 15)),
+    # KIT's unit is about 0.6 of a millimetre (HUMANML3D_DATA §1): its mean root height is 559.6.
+    leg_length=478.0,
 )
 
 SKELETONS = {skeleton.name: skeleton for skeleton in (HUMANML3D, KIT)}

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinema.plaintext import read_lines
+from kinema.files.lines import read_lines
 
 _LENGTH = re.compile(r"(?P<text>.*\S)#(?P<frames>\d+|NA)\s*$", re.IGNORECASE)
 _CAPTION = re.compile(r"(?P<text>[^#]*\S)#[^#]*#(?:[\d.]+|nan)#(?:[\d.]+|nan)\s*$", re.IGNORECASE)

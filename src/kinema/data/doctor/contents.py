@@ -9,15 +9,20 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinema.data.captions import swap_sides
-from kinema.data.catalog import SPLITS
+from kinema.data.catalog import SPLITS, UNTOLD, Dropped
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
+from kinema.data.doctor.sketch import Sketch
+from kinema.data.leftout import by_kind
 from kinema.motion.checks import MAX_SPEED
+from kinema.motion.geometry import likely_rate
 from kinema.motion.statistics import PUBLISHED_DIVISOR, Statistics
 from kinema.types import Caption
 
 MANY_MISSING = 0.05
 """Share of listed clips without files above which a corpus is another one than it is taken for."""
+MISREAD = ("shape", "order", "axis", "sides", "unit")
+"""Kinds of problem that say how the whole corpus was misread, if many clips have them."""
 FEW = 0.01
 """Share up to which slips in captions are but a warning."""
 _SIDE = re.compile(r"\b(left|right|(?:counter)?clockwise)")
@@ -26,47 +31,73 @@ _AGAINST = re.compile(r"\b(?:counter|anti)[ -]?(?=clockwise)")
 
 def counts(patient: Patient) -> Iterator[Finding]:
     """Count clips, frames and captions per split; an empty split is wrong."""
-    lines = []
+    lines, empty = [], []
     for split in SPLITS:
         chosen = [i for i, s in enumerate(patient.splits) if s == split]
         captions = sum(len(patient.captions[i]) for i in chosen)
         mirrored = sum(patient.mirrored[i] for i in chosen)
         lines.append(f"{split} {len(chosen)} clips ({mirrored} mirrored), {captions} captions")
-        if not chosen:
-            yield Finding(
-                "error" if split == "train" else "warning",
-                "empty split",
-                f"split {split!r} has no usable clip",
-                f"list clips in {split}.txt",
-            )
+        if not any(patient.entries[i] for i in chosen):
+            empty.append(split)
+    if empty:
+        yield _empty_splits(patient, empty)
     yield Finding("info", "counts", f"{patient.name} ({patient.skeleton.name}): {'; '.join(lines)}")
     repeated = tuple(name for name, n in Counter(patient.names).items() if n > 1)
     if repeated:
         yield Finding("error", "duplicate names", f"{len(repeated)} names are used twice", "rename them", repeated)
 
 
+def _empty_splits(patient: Patient, empty: list[str]) -> Finding:
+    """Tell why splits have no entry: nothing listed, nothing usable, or nothing of a usable length."""
+    which = ", ".join(empty)
+    lost = [d for d in patient.dropped if d.split in empty and d.what in ("missing", "clip", "entry")]
+    if not lost:
+        return Finding("error", "empty split", f"{which} list no clip", f"list clips in {empty[0]}.txt")
+    if not any(d.what == "entry" for d in lost):
+        fix = "mend the clips as said of them, or list others"
+        return Finding("error", "empty split", f"{which} have no usable clip", fix, tuple(map(_item, lost)))
+    limits = f"{patient.skeleton.min_frames} <= frames < {patient.skeleton.max_frames} at {patient.skeleton.fps:g} fps"
+    fix = (
+        "if the clips have another rate, say it (--fps 60, data.fps=60); cut longer ones into pieces (NAME_s0, NAME_s1)"
+    )
+    return Finding("error", "empty split", f"{which} have no entry of {limits}", fix, tuple(map(_item, lost)))
+
+
 def left_out(patient: Patient) -> Iterator[Finding]:
     """Tell what was not used, by reason."""
-    by_kind = {what: [d for d in patient.dropped if d.what == what] for what in ("missing", "clip", "caption", "entry")}
+    lost = {what: [d for d in patient.dropped if d.what == what] for what in ("missing", "clip", "caption", "entry")}
     told = {
         "missing": ("missing files", "are listed but lack files", "complete the download, or take them off the lists"),
-        "clip": (
-            "unusable clips",
-            "hold NaN or cannot be read",
-            "extract these clips again, or take them off the lists",
-        ),
         "caption": ("unreadable captions", "caption lines cannot be read", "write `caption#tokens#start#end`"),
     }
     for what, (kind, message, fix) in told.items():
-        if found := by_kind[what]:
+        if found := lost[what]:
             share = len(found) / (len(found) + len(patient))
             severity: Severity = "error" if what == "missing" and share > MANY_MISSING else "warning"
-            items = tuple(f"{d.name} ({d.reason})" for d in found)
-            yield Finding(severity, kind, f"{len(found)} {message}", fix, items)
-    if found := by_kind["entry"]:
+            yield Finding(severity, kind, f"{len(found)} {message}", fix, tuple(map(_item, found)))
+    yield from _unusable(lost["clip"], len(patient))
+    if found := lost["entry"]:
         limits = f"{patient.skeleton.min_frames} <= frames < {patient.skeleton.max_frames}"
         names = tuple(d.name for d in found)
         yield Finding("info", "length filter", f"{len(found)} entries are outside {limits}", items=names)
+
+
+def _unusable(dropped: list[Dropped], usable: int) -> Iterator[Finding]:
+    """Tell which clips hold no motion, one finding a kind of problem; one clip in twenty is but a warning."""
+    for kind, found in by_kind(dropped).items():
+        severity: Severity = "error" if len(found) > MANY_MISSING * (len(dropped) + usable) else "warning"
+        items = tuple(map(_item, found))
+        if kind in MISREAD:
+            message = f"{len(found)} of {len(dropped) + usable} clips: {found[0].reason}"
+            yield Finding(severity, kind, message, found[0].fix, tuple(d.name for d in found))
+        else:
+            fix = "extract these clips again, or take them off the lists"
+            message = f"{len(found)} hold no motion that can be used, or cannot be read"
+            yield Finding("warning" if kind else severity, "unusable clips", message, fix, items)
+
+
+def _item(dropped: Dropped) -> str:
+    return f"{dropped.name} ({dropped.reason})"
 
 
 def captions(patient: Patient) -> Iterator[Finding]:
@@ -169,27 +200,47 @@ def statistics(patient: Patient) -> Iterator[Finding]:
         yield Finding("error", "statistics", f"Mean and Std are not those of these clips: {detail}", fix)
 
 
-def motion(patient: Patient, speeds: np.ndarray, heights: np.ndarray) -> Iterator[Finding]:
-    """Find jumps (m/s per clip) and a unit or floor that cannot be (median root height per clip)."""
-    jumps = np.flatnonzero(speeds > MAX_SPEED)
-    if len(jumps):
+def motion(patient: Patient, seen: Sketch) -> Iterator[Finding]:
+    """Find jumps, what a wrong convention left in the joints, and a rate or a floor that cannot be."""
+    jumps = np.flatnonzero(seen.speeds > MAX_SPEED)
+    misread = {kind: [i for i, p in enumerate(seen.problems) if kind in p] for kind in MISREAD}
+    if len(jumps) and not misread["unit"]:
         yield Finding(
             "warning",
             "jumps",
             f"{len(jumps)} clips have a joint faster than {MAX_SPEED:g} m/s",
             "cut the clips there, or repair the tracking",
-            tuple(f"{patient.names[i]} ({speeds[i]:.0f} m/s)" for i in jumps),
+            tuple(f"{patient.names[i]} ({seen.speeds[i]:.0f} m/s)" for i in jumps),
         )
+    for kind, found in misread.items():
+        if found:
+            problem = seen.problems[found[0]][kind]
+            severity: Severity = "error" if len(found) > MANY_MISSING * len(patient) else "warning"
+            message = f"{len(found)} of {len(patient)} clips: {problem.message}"
+            fix = f"prepare again from joints with {problem.fix}"
+            yield Finding(severity, kind, message, fix, tuple(patient.names[i] for i in found))
     low, high = (0.4, 1.4) if patient.skeleton.name == "humanml3d" else (250, 900)
-    typical = float(np.median(heights))
-    if not low <= typical <= high:
-        unit = patient.skeleton.unit
+    typical = float(np.median(seen.heights))
+    if not low <= typical <= high and not any(misread.values()):
+        message = f"the median root height is {typical:.3g} {patient.skeleton.unit}, a standing person's is between"
         yield Finding(
-            "error",
-            "unit",
-            f"the median root height is {typical:.3g} {unit}, a standing person's is between {low:g} and {high:g}",
-            "check the unit (HumanML3D: metres; KIT: its own millimetres) and that Y points up",
+            "error", "height", f"{message} {low:g} and {high:g}", "put the clips on the floor (lowest joint at 0)"
         )
+    yield from _rate(patient, seen)
+
+
+def _rate(patient: Patient, seen: Sketch) -> Iterator[Finding]:
+    """Tell where a folder's rate is known from, and guess another where people don't move like that."""
+    rate = patient.skeleton.fps
+    if patient.rate:
+        yield Finding("info", "rate", f"frame rate: {patient.rate}; entries have {rate:g} fps")
+    known = np.isfinite(seen.paces).any() and patient.rate in ("", UNTOLD)
+    guess = likely_rate(float(np.nanmedian(seen.paces)), rate) if known else None
+    if guess is not None:
+        message = (
+            f"the clips move as if recorded at about {guess:g} fps and read at {rate:g} (guessed from their speed)"
+        )
+        yield Finding("warning", "rate", message, f"--fps {guess:g} (data.fps={guess:g}) if so, --fps {rate:g} if not")
 
 
 def _severity(count: int, total: int) -> Severity:

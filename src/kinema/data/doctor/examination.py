@@ -6,37 +6,45 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from kinema.data.catalog import SPLITS
 from kinema.data.doctor import contents, likeness, nearness
-from kinema.data.doctor.finding import Finding, Severity
+from kinema.data.doctor.finding import Finding
 from kinema.data.doctor.patient import Patient, from_folder, from_store
+from kinema.data.doctor.sketch import sketch
+from kinema.data.folders import listed_names, stems
 from kinema.data.origin import read_index
 from kinema.data.store import PackedStore
-from kinema.motion.checks import check_clip
-from kinema.motion.skeleton import SKELETONS
+from kinema.motion.convention import AS_IS, Convention
+from kinema.motion.recording import read_recording
 
 
-def diagnose(target: str | Path | PackedStore, *, source: str | Path | None = None) -> list[Finding]:
-    """Examine a packed store, a corpus folder (joints or official layout) or one .npy file of joints.
+def diagnose(
+    target: str | Path | PackedStore, *, source: str | Path | None = None, convention: Convention = AS_IS
+) -> list[Finding]:
+    """Examine a packed store, a corpus folder (joints or official layout) or one file of motion (.npy, .npz).
 
     `source` is the folder that a store was made from: its lists and files are then examined too. `index.csv` in the
-    folder or beside it tells which clips come from one take; it and the lists are enough for that finding. Raises
-    FileNotFoundError if there is nothing at `target`, or `source` has no split files.
+    folder or beside it tells which clips come from one take; it and the lists are enough for that finding.
+    `convention` says how the joints of a folder or file are written. Raises FileNotFoundError if there is nothing at
+    `target`, or `source` has no split files; ValueError for a convention of a store, whose joints are read already.
     """
     path = target.path if isinstance(target, PackedStore) else Path(target)
     if path.is_file():
-        return list(_one_motion(path))
+        return list(_one_motion(path, convention))
     if not path.is_dir():
-        raise FileNotFoundError(f"{path} is no packed store, corpus folder or .npy file; check the path")
+        raise FileNotFoundError(f"{path} is no packed store, corpus folder or file of motion; check the path")
     packed = (path / "manifest.json").is_file() and (path / "features.f32").is_file()
+    if packed and convention != AS_IS:
+        raise ValueError(f"{path} is a packed store: its joints are read already; prepare it again with these options")
     folder = Path(source) if source is not None else (None if packed else path)
     if source is not None and not any((Path(source) / f"{s}.txt").is_file() for s in SPLITS):
         raise FileNotFoundError(f"source {source} has no train.txt, val.txt or test.txt; pass the corpus folder")
     findings = list(_lists(folder, prepared=packed)) if folder is not None else []
     try:
-        patient = from_store(path, read_index(folder) if folder is not None else {}) if packed else from_folder(path)
+        if packed:
+            patient = from_store(path, read_index(folder) if folder is not None else {})
+        else:
+            patient = from_folder(path, convention)
     except (ValueError, FileNotFoundError) as error:
         return [*findings, Finding("error", "unreadable", str(error), "see the message; then examine it again")]
     return findings + list(_examine(patient))
@@ -49,9 +57,9 @@ def _examine(patient: Patient) -> Iterator[Finding]:
     yield from contents.sides(patient)
     yield from contents.statistics(patient)
     if len(patient):
-        poses, speeds, heights = likeness.sketch(patient)
-        yield from contents.motion(patient, speeds, heights)
-        yield from likeness.near_duplicates(patient, poses)
+        seen = sketch(patient)
+        yield from contents.motion(patient, seen)
+        yield from likeness.near_duplicates(patient, seen.poses)
     yield from likeness.leakage(patient)
     yield from nearness.takes(patient.names, patient.splits, patient.mirrored, patient.origins)
     yield from nearness.words(patient)
@@ -62,7 +70,8 @@ def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
 
     Files that are lacking are told here if a store was `prepared` from the folder; else reading it will tell.
     """
-    listed = {s: _lines(folder / f"{s}.txt") for s in SPLITS}
+    files = {s: folder / f"{s}.txt" for s in SPLITS}
+    listed = {s: listed_names(file) if file.is_file() else [] for s, file in files.items()}
     where: dict[str, list[str]] = defaultdict(list)
     for split, names in listed.items():
         for name in names:
@@ -75,7 +84,7 @@ def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
     if motions is None:
         yield from _listed_takes(folder, where)
         return
-    present = {f.relative_to(motions).as_posix().removesuffix(".npy") for f in motions.rglob("*.npy")}
+    present = set(stems(motions, ".npy"))
     lacking = tuple(name for name in where if name not in present)
     if lacking and prepared:
         message = f"{len(lacking)} of {len(where)} listed clips have no file in {motions.name}/ any more"
@@ -94,25 +103,14 @@ def _listed_takes(folder: Path, where: dict[str, list[str]]) -> Iterator[Finding
     yield from nearness.takes(list(where), [splits[0] for splits in where.values()], mirrored, origins)
 
 
-def _lines(file: Path) -> list[str]:
-    return (
-        [s for line in file.read_text(encoding="utf-8-sig").splitlines() if (s := line.strip())]
-        if file.is_file()
-        else []
-    )
-
-
-def _one_motion(file: Path) -> Iterator[Finding]:
-    joints = np.load(file, allow_pickle=False)
-    fitting = [s for s in SKELETONS.values() if joints.shape[1:] == (s.num_joints, 3)]
-    if not fitting:
-        wanted = " or ".join(f"(T, {s.num_joints}, 3)" for s in SKELETONS.values())
-        yield Finding("error", "shape", f"{file.name} has shape {joints.shape}", f"write joints of shape {wanted}")
+def _one_motion(file: Path, convention: Convention) -> Iterator[Finding]:
+    try:
+        found = read_recording(file, convention)
+    except ValueError as error:
+        yield Finding("error", "unreadable", str(error), "see the message; then examine it again")
         return
-    skeleton = fitting[0]
-    yield Finding(
-        "info", "counts", f"{file.name}: {len(joints)} frames of {skeleton.name}, {len(joints) / skeleton.fps:.1f} s"
-    )
-    for problem in check_clip(joints, skeleton, skeleton.fps):
-        severity: Severity = "warning" if problem.kind == "jump" else "error"
-        yield Finding(severity, problem.kind, problem.message, "cut or repair the motion there")
+    length, skeleton = len(found.joints), found.skeleton
+    seconds = f"{length} frames of {skeleton.name}, {length / skeleton.fps:.1f} s"
+    yield Finding("info", "counts", f"{file.name}: {seconds} ({found.note})")
+    for problem in found.problems():
+        yield Finding("error" if problem.fatal else "warning", problem.kind, problem.message, problem.fix)

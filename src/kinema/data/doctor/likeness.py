@@ -7,16 +7,12 @@ from collections import defaultdict
 from collections.abc import Iterator
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
 from kinema.data.origin import SOURCE_FIELDS
-from kinema.motion.recovery import recover_joints
 
-POSES = 24
-"""Poses of a clip that are compared, spread evenly over its time."""
 WIDTH = 128
 """Width of the random projection in which neighbours are looked for."""
 CANDIDATES = 8
@@ -26,25 +22,6 @@ SAME, CLOSE, NEAR = 0.001, 0.01, 0.02
 CLOSE_SHARE = 0.01
 """Share of val/test clips that may have a near-duplicate in training before it is worth a warning."""
 BLOCK = 1024
-
-
-def sketch(patient: Patient) -> tuple[Float[np.ndarray, "n k"], np.ndarray, np.ndarray]:
-    """Return each clip's poses in metres, flattened; its greatest joint speed in m/s; its median root height.
-
-    Poses are canonical: the first frame at the origin facing +Z, whatever the length of the clip.
-    """
-    skeleton = patient.skeleton
-    poses = np.empty((len(patient), POSES * skeleton.num_joints * 3), dtype=np.float32)
-    speeds, heights = np.empty(len(patient)), np.empty(len(patient))
-    for i in range(len(patient)):
-        rows = torch.from_numpy(np.array(patient.rows(i)[:, : skeleton.essential_width]))
-        joints = recover_joints(rows, skeleton).numpy()
-        chosen = np.linspace(0, len(joints) - 1, POSES).round().astype(int)
-        poses[i] = joints[chosen].reshape(-1) * skeleton.meters
-        steps = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
-        speeds[i] = steps.max(initial=0) * skeleton.meters * skeleton.fps
-        heights[i] = np.median(joints[:, 0, 1])
-    return poses, speeds, heights
 
 
 def nearest(

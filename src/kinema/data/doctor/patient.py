@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped, read_joints_folder, read_official
 from kinema.data.convert import convert
+from kinema.data.folders import stems
 from kinema.data.origin import Origin
+from kinema.data.packing import cut_entries
 from kinema.data.store import PackedStore
-from kinema.motion.skeleton import SKELETONS, Skeleton
+from kinema.files.arrays import NUMBERS, Wanted, map_npy
+from kinema.motion.convention import AS_IS, Convention
+from kinema.motion.shapes import skeleton_of
+from kinema.motion.skeleton import Skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import Caption
 
@@ -22,7 +27,8 @@ class Patient:
     """Hold a corpus' clips by parallel lists, what was left out of it, and the statistics it brought.
 
     `rows` gives a clip's full-width features. `known` holds the clip's fields, `origins` the take that it was cut
-    from and where, if the corpus says so.
+    from and where, if the corpus says so; `entries` how many entries of a usable length a clip has. `rate` says where
+    the rate of a folder's joints is known from, `convention` what was told of them.
     """
 
     name: str
@@ -36,6 +42,9 @@ class Patient:
     dropped: Sequence[Dropped]
     statistics: Statistics | None
     origins: list[Origin | None]
+    entries: list[int]
+    rate: str = ""
+    convention: Convention = AS_IS
 
     def __len__(self) -> int:
         return len(self.names)
@@ -58,17 +67,20 @@ def from_store(path: Path, index: dict[str, Origin]) -> Patient:
         captions=captions,
         known=[{f: store.clip_field(i, f) for f in store.fields} for i in range(store.num_clips)],
         rows=store.clip_frames,
-        dropped=[Dropped(**{k: d[k] for k in ("name", "split", "what", "reason")}) for d in store.dropped],
+        dropped=[Dropped(**{f.name: d[f.name] for f in fields(Dropped) if f.name in d}) for d in store.dropped],
         statistics=store.statistics,
         origins=[index.get(base) or store.clip_origin(i) for i, base in enumerate(bases)],
+        entries=np.bincount(store.entries["clip"], minlength=store.num_clips).tolist(),
     )
 
 
-def from_folder(path: Path) -> Patient:
+def from_folder(path: Path, convention: Convention) -> Patient:
     """See a joints folder or an official one; every clip is loaded once. Raises ValueError or FileNotFoundError."""
     skeleton, official = guess_skeleton(path), (path / "new_joint_vecs").is_dir()
-    catalog = read_official(path, skeleton.name) if official else read_joints_folder(path)
-    clips, rows, dropped = _load(catalog, skeleton)
+    if official and convention != AS_IS:
+        raise ValueError(f"{path} holds features: no option changes their axes, unit, order or rate")
+    catalog = read_official(path, skeleton.name) if official else read_joints_folder(path, **vars(convention))
+    clips, rows, entries, dropped = _load(catalog, skeleton)
     return Patient(
         name=path.name,
         skeleton=skeleton,
@@ -81,30 +93,37 @@ def from_folder(path: Path) -> Patient:
         dropped=dropped,
         statistics=catalog.statistics,
         origins=[c.origin and c.origin.ending(len(r) + 1) for c, r in zip(clips, rows, strict=True)],
+        entries=entries,
+        rate=catalog.rate,
+        convention=convention,
     )
 
 
 def guess_skeleton(path: Path) -> Skeleton:
-    """Tell the skeleton from the shape of the folder's arrays. Raises ValueError naming the shapes that are known."""
+    """Tell the skeleton from the first of a folder's arrays that has one. Raises ValueError naming what they are."""
     folder = path / "new_joint_vecs" if (path / "new_joint_vecs").is_dir() else path / "joints"
-    file = next(iter(sorted(folder.rglob("*.npy"))), None)
-    if file is None:
+    first: Exception | None = None
+    for name in stems(folder, ".npy"):
+        file = folder / f"{name}.npy"
+        try:
+            return skeleton_of(map_npy(file, Wanted(NUMBERS)))
+        except (ValueError, OSError) as error:
+            first = first or ValueError(f"{file}: {error}")
+    if first is None:
         raise FileNotFoundError(f"{path} has neither new_joint_vecs/*.npy nor joints/*.npy; is it a corpus folder?")
-    shape = np.load(file, mmap_mode="r", allow_pickle=False).shape
-    for skeleton in SKELETONS.values():
-        if shape[1:] in ((skeleton.feature_width,), (skeleton.num_joints, 3)):
-            return skeleton
-    known = ", ".join(f"{s.name}: (T, {s.num_joints}, 3) or (T, {s.feature_width})" for s in SKELETONS.values())
-    raise ValueError(f"{file} has shape {shape}; the skeletons known are {known}")
+    raise first
 
 
-def _load(catalog: Catalog, skeleton: Skeleton) -> tuple[list[Clip], list[np.ndarray], list[Dropped]]:
-    clips, rows, dropped = [], [], list(catalog.dropped)
+def _load(catalog: Catalog, skeleton: Skeleton) -> tuple[list[Clip], list[np.ndarray], list[int], list[Dropped]]:
+    clips, rows, entries, dropped = [], [], [], list(catalog.dropped)
     for clip in catalog.clips:
         made = convert((clip, skeleton.name, False))
         if isinstance(made, Dropped):
             dropped.append(made)
-        else:
-            clips.append(clip)
-            rows.append(made[0])
-    return clips, rows, dropped
+            continue
+        kept, filtered = cut_entries(clip, len(made[0]), skeleton, skeleton.fps)
+        clips.append(clip)
+        rows.append(made[0])
+        entries.append(len(kept))
+        dropped += filtered
+    return clips, rows, entries, dropped

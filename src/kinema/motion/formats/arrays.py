@@ -8,7 +8,21 @@ from typing import Any
 import numpy as np
 
 from kinema.atomic import replacing
+from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.types import Motion
+
+PARTS = frozenset({"joints", "features", "text", "fps", "skeleton"})
+"""Names that every motion of ours has as .npz."""
+
+_LAYOUT = {
+    "joints": Wanted(shape=(None, None, 3)),
+    "features": Wanted(shape=(None, None)),
+    "text": Wanted("U", ()),
+    "fps": Wanted(shape=()),
+    "skeleton": Wanted("U", ()),
+    "seed": Wanted("iu", (), optional=True),
+    "kept": Wanted("b", (None,), optional=True),
+}
 
 
 def save_npy(motion: Motion, path: str | Path) -> Path:
@@ -38,32 +52,16 @@ def save_npz(motion: Motion, path: str | Path) -> Path:
 
 def load_npy(path: str | Path) -> np.ndarray:
     """Read joints (frames, joints, 3) as float32; pickled content is refused."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no such file: {path}")
-    try:
-        joints = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise ValueError(f"{path} is not a plain .npy array of numbers: {error}") from error
-    if not isinstance(joints, np.ndarray) or joints.ndim != 3 or joints.shape[2] != 3 or joints.dtype.kind not in "fiu":
-        found = f"{joints.dtype} {joints.shape}" if isinstance(joints, np.ndarray) else "an archive (use load_npz)"
+    joints = read_npy(path, Wanted(NUMBERS), fix="save joints (frames, joints, 3) with np.save")
+    if joints.ndim != 3 or joints.shape[2] != 3:
+        found = f"{joints.dtype} {joints.shape}"
         raise ValueError(f"{path} should hold joint positions of shape (frames, joints, 3); it holds {found}")
     return joints.astype(np.float32)
 
 
 def load_npz(path: str | Path) -> Motion:
     """Read a motion that `save` wrote as .npz; pickled content is refused."""
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no such file: {path}")
-    try:
-        archive = np.load(path, allow_pickle=False)
-        content = dict(archive) if isinstance(archive, np.lib.npyio.NpzFile) else {}
-    except (ValueError, EOFError, OSError) as error:
-        raise ValueError(f"{path} is not a motion archive: {error}") from error
-    missing = {"joints", "features", "text", "fps", "skeleton"} - content.keys()
-    if missing:
-        raise ValueError(f"{path} is not a motion archive: it lacks {', '.join(sorted(missing))}")
+    content = read_npz(path, _LAYOUT, fix="write it again with kinema.motion.export.save")
     return Motion(
         joints=content["joints"],
         features=content["features"],

@@ -1,0 +1,37 @@
+"""Walk the folders of a corpus: links to folders are followed, hidden files (macOS' `._NAME`) passed over."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+
+def walk(root: Path) -> Iterator[tuple[str, list[str]]]:
+    """Give every folder below `root`, itself first, with the names of its files, sorted; each once, whatever links."""
+    seen = set()
+    for folder, folders, files in os.walk(root, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in seen:
+            folders.clear()
+            continue
+        seen.add(real)
+        folders.sort()
+        yield folder, sorted(files)
+
+
+def stems(root: Path, suffix: str) -> list[str]:
+    """Name the files below a folder that have a suffix, by their path without it."""
+    found = []
+    for folder, files in walk(root):
+        below = Path(folder).relative_to(root)
+        if any(part.startswith(".") for part in below.parts):
+            continue
+        found += [(below / f).as_posix().removesuffix(suffix) for f in files if f.endswith(suffix) and f[0] != "."]
+    return found
+
+
+def listed_names(file: Path) -> list[str]:
+    """Read a list of clips, one name a line; `NAME.npy` is read as `NAME`."""
+    lines = map(str.strip, file.read_text(encoding="utf-8-sig").splitlines())
+    return [line.removesuffix(".npy") for line in lines if line]

@@ -1,0 +1,59 @@
+"""Say what a corpus was left without, and refuse one that lost too much."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from kinema.data.catalog import SPLITS, Dropped
+
+MAX_UNUSABLE = 0.2
+"""Share of a corpus' clips that may be unusable: above it the corpus is another than it was taken for."""
+SHOWN = 5
+"""Clips that are written out."""
+
+
+def check_share(name: str, dropped: Sequence[Dropped], clips: int, most: float) -> None:
+    """Raise ValueError if more than the share `most` of a corpus' clips is unusable, with reasons and fixes by kind."""
+    unusable = [d for d in dropped if d.what == "clip"]
+    if len(unusable) <= most * clips or len(unusable) == clips == 0:
+        return
+    told = []
+    for same in by_kind(unusable).values():
+        fix = f"; fix: {same[0].fix}" if same[0].fix else ""
+        told.append(f"{len(same)} clips (first, {same[0].name!r}: {same[0].reason}{fix})")
+    none = "has no usable clip: " if len(unusable) == clips else ""
+    raise ValueError(
+        f"corpus {name!r} {none}{len(unusable)} of {clips} clips are unusable, more than the allowed share {most:g}: "
+        f"{', '.join(told)}; mend them, take them off the lists or raise max_unusable"
+    )
+
+
+def by_kind(dropped: Sequence[Dropped]) -> dict[str, list[Dropped]]:
+    """Group what was left out by the kind of problem, the most frequent first."""
+    found = defaultdict(list)
+    for one in dropped:
+        found[one.kind].append(one)
+    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+
+
+def told_of(rate: str, dropped: Sequence[Dropped], manifest: dict[str, Any], out: Path) -> Iterator[str]:
+    """Write for people how a corpus was read and what it was left without; nothing where there is nothing to say."""
+    if rate:
+        yield f"rate      {rate}"
+    units = {"missing": "listed clips without files", "clip": "unusable clips", "caption": "unreadable captions"}
+    for what, unit in units.items():
+        if found := [d for d in dropped if d.what == what]:
+            shown = "; ".join(f"{d.name} ({' '.join(d.reason.split())})" for d in found[:SHOWN])
+            yield f"left out  {len(found)} {unit}: {shown}{'; ...' if len(found) > SHOWN else ''}"
+    if filtered := [d for d in dropped if d.what == "entry"]:
+        first = f"{filtered[0].name}: {filtered[0].reason}"
+        yield f"left out  {len(filtered)} entries outside the length filter (first, {first})"
+    counts = {split: manifest["splits"][split] for split in SPLITS}
+    entries = {split: n["entries"] + n["entries_without_captions"] for split, n in counts.items()}
+    if empty := [split for split, n in entries.items() if not n]:
+        yield f"warning   no entry is left in {', '.join(empty)}: `kinema doctor {out}` says why"
+    if dropped:
+        yield f"          {sum(entries.values())} entries are left; all that was left out is in {out / 'dropped.json'}"
