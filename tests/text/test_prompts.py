@@ -67,7 +67,7 @@ def test_what_is_no_prompt_is_named(tmp_path, content, says):
     file.write_bytes(content)
     with pytest.raises(ValueError, match=says):
         read_prompts(file)
-    with pytest.raises(FileNotFoundError, match="no such file"):
+    with pytest.raises(FileNotFoundError, match="is a folder, not a file; give a text file"):
         read_prompts(tmp_path)
 
 

@@ -24,6 +24,7 @@ from kinema.motion import export
 from kinema.motion.convention import Convention
 from kinema.motion.recording import read_motion
 from kinema.motion.representation import Representation
+from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import largest_seam, parse_ranges

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinema.files.kinds import DamagedError, require_file
+
 MARKS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"))
 FIX = "save the file as UTF-8 (iconv -f CP1252 -t UTF-8, or the encoding that it is in)"
 
@@ -38,13 +40,11 @@ def scan_lines(file: Path) -> list[Line]:
 
 
 def read_lines(file: Path) -> list[Line]:
-    """Read every line of a text file. Raises FileNotFoundError, or ValueError naming the first line that is no text."""
-    if not file.is_file():
-        raise FileNotFoundError(f"no such file: {file}")
-    lines = scan_lines(file)
+    """Read every line of a text file. Raises FileNotFoundError, or DamagedError naming a line that is no text."""
+    lines = scan_lines(require_file(file, "give a text file"))
     for line in lines:
         if line.problem:
-            raise ValueError(f"{file}, line {line.number}: {line.problem}")
+            raise DamagedError(f"{file}, line {line.number}: {line.problem}")
     return lines
 
 
