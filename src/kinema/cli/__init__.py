@@ -7,7 +7,9 @@ import ast
 import importlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from kinema import __version__
@@ -57,6 +59,10 @@ KEEP_HELP = (
     f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
+PROMPTS_HELP = (
+    "file of prompts, one a line, in place of TEXT; `a person walks#120` says how many frames it has, others take "
+    "--seconds or --frames, or an estimate"
+)
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
     "legs and foot contacts (methods that generate frames: mdm, motiondiffuse, ...)"
@@ -74,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if hasattr(options, "set"):
             options.set = _settings(options.set)
-        with interruptible():
+        with interruptible(), _plain_warnings():
             code = _function(options.command)(options) or 0
         sys.stdout.flush()  # here, so that a reader that is gone is noticed
         return code
@@ -99,6 +105,22 @@ def _function(command: str) -> Callable[[argparse.Namespace], int | None]:
     return getattr(importlib.import_module(f"kinema.cli.{module or 'commands'}"), function)
 
 
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Print what users should know as one line, without the place in the code."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, UserWarning):
+                print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="kinema", description="Train and compare text-to-motion methods; generate and edit motion from text."
@@ -115,7 +137,8 @@ def _parser() -> argparse.ArgumentParser:
     for name, (_, what) in EXPERIMENTS.items():
         commands.add_parser(name, help=what)
     make = add("generate", "generate one motion per text")
-    make.add_argument("text", nargs="+", help="what the person does; several texts give several motions")
+    make.add_argument("text", nargs="*", help="what the person does; several texts give several motions")
+    make.add_argument("--prompts", metavar="FILE", help=PROMPTS_HELP)
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
     make.add_argument("--frames", type=int, help="length in frames")
     make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")

@@ -27,6 +27,7 @@ from kinema.motion.view.draw import (
     facing,
     new_canvas,
     new_figure,
+    write,
 )
 
 if TYPE_CHECKING:
@@ -126,8 +127,7 @@ def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
         _draw_way(axes, _from_above(joints, facing(joints[0], body)), frames, (middle, 0.6 * body.stature), 0.9 * cell)
         axes.text(middle, low * 0.6, "from above,\nfacing up", **style)
     columns = max(20, int(13 * figure.get_size_inches()[0]))
-    caption = textwrap.shorten(motion.text, 2 * columns, placeholder=" ...")
-    axes.text(0.012, 0.965, textwrap.fill(caption, columns), transform=axes.transAxes, va="top", color=INK, fontsize=10)
+    write(axes, 0.012, 0.965, _lines(motion.text, columns, 2 * columns), va="top", color=INK, fontsize=10)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
     return Path(path)
@@ -157,11 +157,13 @@ def _draw_frame(axes: Axes, joints: np.ndarray, frame: int, body: Body, camera: 
 
 
 def _caption(axes: Axes, motion: Motion, frame: int) -> None:
-    text = textwrap.fill(textwrap.shorten(motion.text, 160, placeholder=" ..."), 56)
-    style: dict[str, Any] = {"transform": axes.transAxes, "color": INK, "fontsize": 9.5}
-    axes.text(0.03, 0.97, text, va="top", **style)
+    write(axes, 0.03, 0.97, _lines(motion.text, 56, 160), va="top", color=INK, fontsize=9.5)
     clock = f"{frame / motion.fps:.1f} / {(len(motion.joints) - 1) / motion.fps:.1f} s"
-    axes.text(0.97, 0.03, clock, ha="right", **{**style, "color": MUTED, "fontsize": 8.5})
+    write(axes, 0.97, 0.03, clock, ha="right", color=MUTED, fontsize=8.5)
+
+
+def _lines(text: str, columns: int, most: int) -> str:
+    return textwrap.fill(textwrap.shorten(text, most, placeholder=" ..."), columns)
 
 
 def _bare(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
