@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from kinema.experiments.evaluation import scored_lines
+from kinema.experiments.replications import scored_lines
 from kinema.experiments.stages import stages
 from kinema.locks import attempt
 from kinema.report.intervals import Value, means

@@ -218,9 +218,10 @@ class ResidualTransformer(LatentModel):
         """Return the mask of the kept positions and the codes they have."""
         if known is None:
             return torch.zeros(codes.shape[:2], dtype=torch.bool, device=codes.device), codes
-        own = known.latents.codes
-        nothing = None if own is None else (own == NOTHING) & (torch.arange(own.shape[-1], device=own.device) > 0)
-        filled = known.latents if own is None else replace(known.latents, codes=own.masked_fill(nothing, 0))
+        filled, nothing, own = known.latents, None, known.latents.codes
+        if own is not None:
+            nothing = (own == NOTHING) & (torch.arange(own.shape[-1], device=own.device) > 0)
+            filled = replace(filled, codes=own.masked_fill(nothing, 0))
         given = check_codes(filled, self.space, known.mask.shape[1])
         if nothing is not None:
             given = given.masked_fill(nothing[..., : self.quantizers] & filled.mask[..., None], self.codebook_size)
