@@ -130,6 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
     pack.add_argument("--processes", type=int, help="processes that extract features")
     _add_settings(pack, "reader option, e.g. size=400 of synthetic")
+    _add_corpora(add("corpus", "build a corpus anew from what its owners publish"))
     check = add("doctor", "examine a corpus, a packed store or a file of joints")
     check.add_argument(
         "what",
@@ -145,6 +146,20 @@ def _parser() -> argparse.ArgumentParser:
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
     return parser
+
+
+def _add_corpora(parser: argparse.ArgumentParser) -> None:
+    """Add one command per corpus: its owners' folders, each searched for files by name."""
+    made = parser.add_subparsers(required=True, metavar="CORPUS", dest="corpus")
+    what = "open-mocap from the captures of Bandai Namco, CMU and HDM05 (docs/data.md); a missing one leaves a subset"
+    one = made.add_parser("open-mocap", help=what, description=what)
+    for owner in ("bandai", "cmu", "hdm05"):
+        one.add_argument(
+            f"--{owner}", nargs="+", default=[], metavar="FOLDER", help=f"folders below which {owner}'s files are"
+        )
+    one.add_argument("--out", required=True, metavar="FOLDER", help="folder to write: joints, texts, splits, manifest")
+    one.add_argument("--processes", type=int, help="processes that read captures")
+    one.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
 def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:

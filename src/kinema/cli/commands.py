@@ -5,13 +5,17 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import multiprocessing
 import os
 import platform
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import torch
+from rich.progress import track
 
 from kinema.data import doctor as examine
+from kinema.data.corpora.open_mocap import OWNERS, rebuild
 from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
@@ -127,6 +131,16 @@ def prepare(options: argparse.Namespace) -> None:
     )
     store = PackedStore.open(path)
     print(f"wrote {path}: {store!r}")
+
+
+def corpus(options: argparse.Namespace) -> int:
+    """Build open-mocap from its owners' captures; exit code 1 if clips are missing."""
+    folders = {owner: [Path(folder) for folder in getattr(options, owner)] for owner in OWNERS}
+    processes = options.processes or min(4, os.cpu_count() or 1)
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        result = rebuild(folders, Path(options.out), pool=pool, watch=lambda takes, total: track(takes, "takes", total))
+    print(result)
+    return 0 if result.whole else 1
 
 
 def doctor(options: argparse.Namespace) -> int:

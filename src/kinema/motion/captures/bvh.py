@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from kinema.motion.captures.capture import Capture, usual_rate
+from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.text import numbers, read_text
 from kinema.motion.captures.turning import euler
 
@@ -162,4 +162,4 @@ def _motion(path: Path, text: str, width: int) -> tuple[Float[np.ndarray, "t c"]
             f"{path} says {count:.0f} frames of {width} channels, {count * width:.0f} numbers, and holds "
             f"{len(values)}: it is cut off, or its CHANNELS aren't those of its frames"
         )
-    return values.reshape(-1, width), usual_rate(1 / interval)
+    return values.reshape(-1, width), 1 / interval

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from kinema.motion.captures.asf import read_amc
 from kinema.motion.captures.bvh import read_bvh
-from kinema.motion.captures.capture import Capture
+from kinema.motion.captures.capture import Capture, usual_rate
 from kinema.motion.captures.mapping import JointMapping, find_mapping
 from kinema.motion.captures.orientation import body_height, find_scale, find_up, upright
 from kinema.motion.skeleton import HUMANML3D, Skeleton
@@ -81,11 +81,11 @@ def captured_joints(
     skipped = _skipped(capture, mapping)
     if capture.frames - skipped < 2:
         raise ValueError(f"{source} has {capture.frames} frames, {skipped} of them a rest pose; motion needs two")
-    rate = fps or capture.fps
+    rate = fps or usual_rate(capture.fps)
     weights = mapping.weights(capture.names, skeleton)
     rest = weights @ capture.rest_positions
     kept = capture.part(skipped)
-    positions = np.einsum("js,tsc->tjc", weights, kept.at(skeleton.fps * capture.fps / rate).positions)
+    positions = np.einsum("js,tsc->tjc", weights, replace(kept, fps=rate).at(skeleton.fps).positions)
     found = up or find_up(positions, rest, skeleton, source)
     factor = scale or mapping.scale or find_scale(positions, skeleton, source)
     joints = upright(positions, found) * factor
