@@ -147,7 +147,8 @@ def rebuild(
 ) -> Rebuilt:
     """Write the corpus folder from the owners' folders (bandai, cmu, hdm05), in the joints-folder layout.
 
-    Clips that are there are not made again; `watch` passes takes on and shows how far they are. Raises ValueError if no clip's capture is found.
+    Clips that are there are not made again; `watch` passes takes on and shows how far they are. Raises ValueError if
+    the folders hold no capture of the corpus.
     """
     recipe = read_recipe()
     files = {owner: _files(folders.get(owner, [])) for owner in OWNERS}
