@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from kinema.motion.formats.arrays import save_npy, save_npz
+from kinema.motion.formats.bvh import save_bvh
 from kinema.motion.view.html import save_html
 from kinema.motion.view.video import save_mp4, save_strip
 from kinema.types import Motion
 
 
 def save(motion: Motion, path: str | Path) -> Path:
-    """Save one motion by the suffix of `path`: .html, .mp4, .png, .npy or .npz (see `FORMATS`)."""
+    """Save one motion by the suffix of `path`: .html, .mp4, .png, .npy, .npz or .bvh (see `FORMATS`)."""
     path = Path(path)
     if path.suffix not in FORMATS:
         known = ", ".join(FORMATS)
@@ -27,4 +28,5 @@ FORMATS = {
     ".png": save_strip,
     ".npy": save_npy,
     ".npz": save_npz,
+    ".bvh": save_bvh,
 }

@@ -20,7 +20,7 @@ from kinema.motion.rotation import shortest_arc, unit
 ROUNDS = 3
 """Rounds in which the shape of a joint with several children settles."""
 STIFF, FREE = 1.0, 0.02
-"""How much a twist minds changing between frames, and being another than the least turn's, against a right-angled bend."""
+"""How much a twist minds changing between frames, and another one than the least turn's: a right-angled bend has 1."""
 
 
 def fit_rig(joints: Float[np.ndarray, "t j 3"], rest: RestPose, fps: float) -> Capture:
@@ -89,10 +89,8 @@ class _Fit:
         way = unit(self.joints[:, child] - self.placed[:, joint])
         inside = np.einsum("tji,tj->ti", base, way)
         swung = base @ _swing(self.rest, joint, child, inside)
-        if joint in self.rest.hinges:
-            angles = self._bend(joint, child, base, swung, way)
-        else:
-            angles = self._share(joint, child, swung, way)
+        hinged = joint in self.rest.hinges
+        angles = self._bend(joint, child, base, swung, way) if hinged else self._share(joint, child, swung, way)
         return swung if angles is None else Rotation.from_rotvec(angles[:, None] * way).as_matrix() @ swung
 
     def _bend(
