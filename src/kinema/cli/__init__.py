@@ -100,7 +100,7 @@ def _parser() -> argparse.ArgumentParser:
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
-        one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png .bvh")
+        one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png .bvh .glb .vrma")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")

@@ -6,13 +6,14 @@ from pathlib import Path
 
 from kinema.motion.formats.arrays import save_npy, save_npz
 from kinema.motion.formats.bvh import save_bvh
+from kinema.motion.formats.glb import save_glb, save_vrma
 from kinema.motion.view.html import save_html
 from kinema.motion.view.video import save_mp4, save_strip
 from kinema.types import Motion
 
 
 def save(motion: Motion, path: str | Path) -> Path:
-    """Save one motion by the suffix of `path`: .html, .mp4, .png, .npy, .npz or .bvh (see `FORMATS`)."""
+    """Save one motion by the suffix of `path` (see `FORMATS`)."""
     path = Path(path)
     if path.suffix not in FORMATS:
         known = ", ".join(FORMATS)
@@ -29,4 +30,6 @@ FORMATS = {
     ".npy": save_npy,
     ".npz": save_npz,
     ".bvh": save_bvh,
+    ".glb": save_glb,
+    ".vrma": save_vrma,
 }
