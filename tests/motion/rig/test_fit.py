@@ -110,7 +110,7 @@ def test_a_motion_moved_and_turned_is_fitted_alike(clips):
 
 def test_a_written_bvh_holds_the_fitted_positions_in_centimetres(clips, tmp_path):
     fitted = fit_rig(clips[0], HUMANML3D_REST, 20)
-    (tmp_path / "a.bvh").write_text(bvh_text(fitted, scale=100))
+    (tmp_path / "a.bvh").write_text(bvh_text(fitted))
     read = read_bvh(tmp_path / "a.bvh")
     assert read.names[:2] == ("Hips", "LeftUpLeg")
     names = [n for n in read.names if not n.endswith("_end")]

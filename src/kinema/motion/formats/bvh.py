@@ -1,33 +1,20 @@
-"""Write motion as BVH: a T-pose at rest, centimetres, Y up, Mixamo's joint names, which most tools know."""
+"""Write a rig as BVH: a T-pose at rest, centimetres, Y up, Mixamo's joint names, which most tools know."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from kinema.atomic import write_text
 from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.mapping import known_mappings
 from kinema.motion.rig.euler import continuous_euler
-from kinema.motion.rig.fit import fit_rig
-from kinema.motion.rig.pose import rest_pose
-from kinema.motion.skeleton import get_skeleton
-from kinema.types import Motion
 
-CENTIMETRES = 100.0
+UNITS = {"cm": 100.0, "m": 1.0}
 ORDER = "ZXY"
 
 
-def save_bvh(motion: Motion, path: str | Path) -> Path:
-    """Fit rotations to a motion and write them; raises ValueError for a skeleton without a T-pose."""
-    skeleton = get_skeleton(motion.skeleton)
-    fitted = fit_rig(np.asarray(motion.joints), rest_pose(skeleton), motion.fps)
-    return write_text(path, bvh_text(fitted, scale=skeleton.meters * CENTIMETRES))
-
-
-def bvh_text(capture: Capture, *, scale: float) -> str:
+def bvh_text(capture: Capture, *, unit: str = "cm") -> str:
     """Write a rig's tree and its frames; the root's OFFSET is zero, its channels hold where it is."""
+    scale = UNITS[unit]
     names = [next(iter(known_mappings()["mixamo"].joints[name])) for name in capture.names]
     order: list[int] = []
     lines = ["HIERARCHY", *_joint(capture, names, 0, 0, scale, order), "MOTION"]

@@ -1,4 +1,4 @@
-"""Write motion as GLB (glTF 2.0, binary) or VRMA: a skeleton and one animation; metres, Y up, facing +Z at rest.
+"""Write a rig as GLB (glTF 2.0, binary) or VRMA: a skeleton and one animation; metres, Y up, facing +Z at rest.
 
 A GLB has a simple figure on its skeleton, a VRMA (VRMC_vrm_animation 1.0) says which bone is which of a human's, so
 that it drives any VRM model.
@@ -8,20 +8,15 @@ from __future__ import annotations
 
 import json
 import struct
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kinema.atomic import replacing
 from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.mapping import known_mappings
 from kinema.motion.rig.figure import build_figure
-from kinema.motion.rig.fit import fit_rig
-from kinema.motion.rig.pose import rest_pose
-from kinema.motion.skeleton import Skeleton, get_skeleton
-from kinema.types import Motion
+from kinema.motion.skeleton import Skeleton
 
 TYPES = {"float32": 5126, "uint8": 5121, "uint16": 5123}
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -45,27 +40,6 @@ HUMAN_BONES = {
     "left_wrist": "leftHand",
 }
 """VRM's names; those of the right are alike."""
-
-
-def save_glb(motion: Motion, path: str | Path) -> Path:
-    """Fit rotations to a motion and write them; raises ValueError for a skeleton without a T-pose."""
-    return _write(path, glb_bytes(*_fitted(motion), title=motion.text or "motion"))
-
-
-def save_vrma(motion: Motion, path: str | Path) -> Path:
-    """Fit rotations to a motion and write them for VRM models; raises ValueError for a skeleton without a T-pose."""
-    return _write(path, vrma_bytes(_fitted(motion)[0], title=motion.text or "motion"))
-
-
-def _fitted(motion: Motion) -> tuple[Capture, Skeleton]:
-    skeleton = get_skeleton(motion.skeleton)
-    return fit_rig(np.asarray(motion.joints) * skeleton.meters, rest_pose(skeleton), motion.fps), skeleton
-
-
-def _write(path: str | Path, content: bytes) -> Path:
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)
-    return Path(path)
 
 
 def vrma_bytes(capture: Capture, *, title: str) -> bytes:
