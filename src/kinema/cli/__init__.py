@@ -153,13 +153,27 @@ def _add_corpora(parser: argparse.ArgumentParser) -> None:
     made = parser.add_subparsers(required=True, metavar="CORPUS", dest="corpus")
     what = "open-mocap from the captures of Bandai Namco, CMU and HDM05 (docs/data.md); a missing one leaves a subset"
     one = made.add_parser("open-mocap", help=what, description=what)
+    what = "HumanML3D from AMASS, the SMPL-H models, HumanAct12 and the published lists (docs/data.md); it resumes"
+    other = made.add_parser("humanml3d", help=what, description=what)
+    other.add_argument(
+        "--amass", required=True, metavar="FOLDER", help="AMASS' sets, unpacked (ACCAD, BMLrub, CMU, ...)"
+    )
+    other.add_argument("--smplh", required=True, metavar="FOLDER", help="body models: male/model.npz, female/model.npz")
+    other.add_argument(
+        "--dmpls", metavar="FOLDER", help="soft-tissue models alike, as published (left out: stiff bodies)"
+    )
+    other.add_argument(
+        "--humanact12", required=True, metavar="FOLDER", help="pose_data/humanact12 of the lists' repository"
+    )
+    other.add_argument("--lists", required=True, metavar="FOLDER", help="HumanML3D's repository: index.csv, HumanML3D/")
     for owner in ("bandai", "cmu", "hdm05"):
         one.add_argument(
             f"--{owner}", nargs="+", default=[], metavar="FOLDER", help=f"folders below which {owner}'s files are"
         )
-    one.add_argument("--out", required=True, metavar="FOLDER", help="folder to write: joints, texts, splits, manifest")
-    one.add_argument("--processes", type=int, help="processes that read captures")
-    one.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    for corpus in (one, other):
+        corpus.add_argument("--out", required=True, metavar="FOLDER", help="folder to write")
+        corpus.add_argument("--processes", type=int, help="processes that read captures")
+        corpus.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
 def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:

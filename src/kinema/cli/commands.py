@@ -10,12 +10,14 @@ import os
 import platform
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import torch
 from rich.progress import track
 
 from kinema.data import doctor as examine
-from kinema.data.corpora.open_mocap import OWNERS, rebuild
+from kinema.data.corpora.humanml3d import Report, Sources, build_humanml3d
+from kinema.data.corpora.open_mocap import OWNERS, Rebuilt, rebuild
 from kinema.data.prepare import READERS
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
@@ -23,6 +25,7 @@ from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
+from kinema.motion.captures.amass import BodyModels
 from kinema.motion.features import extract
 from kinema.motion.formats.arrays import load_npy, load_npz
 from kinema.motion.recovery import recover_joints
@@ -134,13 +137,23 @@ def prepare(options: argparse.Namespace) -> None:
 
 
 def corpus(options: argparse.Namespace) -> int:
-    """Build open-mocap from its owners' captures; exit code 1 if clips are missing."""
-    folders = {owner: [Path(folder) for folder in getattr(options, owner)] for owner in OWNERS}
-    processes = options.processes or min(4, os.cpu_count() or 1)
+    """Build a corpus from what its owners publish; exit code 1 if clips are missing."""
+    processes, out = options.processes or min(4, os.cpu_count() or 1), Path(options.out)
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        result = rebuild(folders, Path(options.out), pool=pool, watch=lambda takes, total: track(takes, "takes", total))
-    print(result)
-    return 0 if result.whole else 1
+        work = {"pool": pool, "watch": lambda takes, total: track(takes, "takes", total)}
+        report = _humanml3d(options, out, work) if options.corpus == "humanml3d" else _open_mocap(options, out, work)
+    print(report)
+    return 0 if report.whole else 1
+
+
+def _open_mocap(options: argparse.Namespace, out: Path, work: dict[str, Any]) -> Rebuilt:
+    return rebuild({owner: [Path(f) for f in getattr(options, owner)] for owner in OWNERS}, out, **work)
+
+
+def _humanml3d(options: argparse.Namespace, out: Path, work: dict[str, Any]) -> Report:
+    models = BodyModels(Path(options.smplh), Path(options.dmpls) if options.dmpls else None)
+    sources = Sources(Path(options.amass), models, Path(options.humanact12))
+    return build_humanml3d(sources, Path(options.lists), out, **work)
 
 
 def doctor(options: argparse.Namespace) -> int:

@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinema.motion.captures.amass import BodyModels
 from kinema.motion.captures.mapping import known_mappings
+from kinema.motion.kinematics import place_joints
+from kinema.motion.rig.pose import HUMANML3D_REST
 from kinema.motion.skeleton import HUMANML3D
 
 REST = HUMANML3D.rest_directions * HUMANML3D.bone_lengths[:, None]
@@ -103,3 +106,47 @@ root 1 2 3 0 90 0
 thigh 90 0 0
 shin 90
 """
+
+
+STANDING = place_joints(np.array([0.0, 0.9, 0]), HUMANML3D_REST.directions * HUMANML3D.bone_lengths[:, None], HUMANML3D)
+
+
+@pytest.fixture
+def models(tmp_path):
+    """Make up body models in a temporary folder."""
+    return made_up_models(tmp_path)
+
+
+def made_up_models(folder: Path) -> BodyModels:
+    """Make up body models: 60 vertices, the first 52 of them the joints."""
+    draw = np.random.default_rng(0)
+    regressor = np.zeros((52, 60))
+    regressor[np.arange(52), np.arange(52)] = 1
+    template = np.concatenate([STANDING, draw.normal(size=(38, 3))])
+    for gender, size in (("male", 1.1), ("female", 1.0)):
+        (folder / "smplh" / gender).mkdir(parents=True)
+        (folder / "dmpls" / gender).mkdir(parents=True)
+        shapes = draw.normal(size=(60, 3, 16)) * 0.01
+        np.savez(
+            folder / "smplh" / gender / "model.npz",
+            J_regressor=regressor,
+            v_template=template * size,
+            shapedirs=shapes,
+        )
+        np.savez(folder / "dmpls" / gender / "model.npz", eigvec=draw.normal(size=(60, 3, 12)) * 0.01)
+    return BodyModels(folder / "smplh", folder / "dmpls")
+
+
+def archive(path, frames=7, **changes):
+    """Write an AMASS archive of random poses; give its content and its path."""
+    draw = np.random.default_rng(1)
+    content = {
+        "poses": draw.normal(size=(frames, 156)) * 0.3,
+        "trans": draw.normal(size=(frames, 3)),
+        "betas": draw.normal(size=16),
+        "dmpls": draw.normal(size=(frames, 8)),
+        "gender": np.array("male"),
+        "mocap_framerate": np.array(120.0),
+    } | changes
+    np.savez(path, **{key: value for key, value in content.items() if value is not None})
+    return content, path

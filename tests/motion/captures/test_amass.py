@@ -5,49 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.motion.captures.conftest import archive
 
 from kinema.motion.captures.amass import BodyModels, read_amass, read_body_model, strided
 from kinema.motion.captures.reading import captured_joints
-from kinema.motion.kinematics import place_joints
-from kinema.motion.rig.pose import HUMANML3D_REST
 from kinema.motion.skeleton import HUMANML3D
-
-REST = place_joints(np.array([0.0, 0.9, 0]), HUMANML3D_REST.directions * HUMANML3D.bone_lengths[:, None], HUMANML3D)
-
-
-@pytest.fixture
-def models(tmp_path):
-    """Make up a body model: 60 vertices, 52 joints, each the mean of a few vertices."""
-    draw = np.random.default_rng(0)
-    regressor = np.zeros((52, 60))
-    regressor[np.arange(52), np.arange(52)] = 1
-    template = np.concatenate([REST, draw.normal(size=(38, 3))])
-    for gender, size in (("male", 1.1), ("female", 1.0)):
-        (tmp_path / "smplh" / gender).mkdir(parents=True)
-        (tmp_path / "dmpls" / gender).mkdir(parents=True)
-        shapes = draw.normal(size=(60, 3, 16)) * 0.01
-        np.savez(
-            tmp_path / "smplh" / gender / "model.npz",
-            J_regressor=regressor,
-            v_template=template * size,
-            shapedirs=shapes,
-        )
-        np.savez(tmp_path / "dmpls" / gender / "model.npz", eigvec=draw.normal(size=(60, 3, 12)) * 0.01)
-    return BodyModels(tmp_path / "smplh", tmp_path / "dmpls")
-
-
-def archive(path, frames=7, **changes):
-    draw = np.random.default_rng(1)
-    content = {
-        "poses": draw.normal(size=(frames, 156)) * 0.3,
-        "trans": draw.normal(size=(frames, 3)),
-        "betas": draw.normal(size=16),
-        "dmpls": draw.normal(size=(frames, 8)),
-        "gender": np.array("male"),
-        "mocap_framerate": np.array(120.0),
-    } | changes
-    np.savez(path, **{key: value for key, value in content.items() if value is not None})
-    return content, path
 
 
 def expected(content, models, gender):

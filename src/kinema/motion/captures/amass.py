@@ -128,8 +128,8 @@ def _posed(
 def strided(capture: Capture, fps: float) -> Capture:
     """Keep every int(rate / fps)-th frame, and call that `fps`: 250 becomes 20.83 (HUMANML3D_DATA §2.2)."""
     step = max(int(capture.fps / fps), 1)
-    kept = {"rotations": capture.rotations[::step], "translations": capture.translations[::step]}
-    return replace(capture, fps=fps, **kept)
+    rotations, translations = capture.rotations[::step], capture.translations[::step]
+    return replace(capture, rotations=rotations, translations=translations, fps=fps)
 
 
 def _arrays(path: Path, needed: tuple[str, ...], what: str) -> dict[str, np.ndarray]:
