@@ -156,7 +156,7 @@ def _parser() -> argparse.ArgumentParser:
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
-        one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png")
+        one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png .bvh .glb .vrma")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
@@ -188,6 +188,7 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--processes", type=int, help="processes that extract features")
     _add_convention(pack)
     _add_settings(pack, "reader option, e.g. size=400 of synthetic; max_missing or max_unusable, shares of clips")
+    _add_corpora(add("corpus", "build a corpus anew from what its owners publish"))
     check = add("doctor", "examine a corpus, a packed store or a file of motion")
     check.add_argument(
         "what",
@@ -229,6 +230,34 @@ def _add_convention(parser: argparse.ArgumentParser) -> None:
         "--order", help="order of joints: swapped, limbs, limbs-right, trunk, trunk-right, or their names"
     )
     told.add_argument("--fps", type=float, help="their frame rate; they are resampled to the skeleton's")
+
+
+def _add_corpora(parser: argparse.ArgumentParser) -> None:
+    """Add one command per corpus: its owners' folders, each searched for files by name."""
+    made = parser.add_subparsers(required=True, metavar="CORPUS", dest="corpus")
+    what = "open-mocap from the captures of Bandai Namco, CMU and HDM05 (docs/data.md); a missing one leaves a subset"
+    one = made.add_parser("open-mocap", help=what, description=what)
+    what = "HumanML3D from AMASS, the SMPL-H models, HumanAct12 and the published lists (docs/data.md); it resumes"
+    other = made.add_parser("humanml3d", help=what, description=what)
+    other.add_argument(
+        "--amass", required=True, metavar="FOLDER", help="AMASS' sets, unpacked (ACCAD, BMLrub, CMU, ...)"
+    )
+    other.add_argument("--smplh", required=True, metavar="FOLDER", help="body models: male/model.npz, female/model.npz")
+    other.add_argument(
+        "--dmpls", metavar="FOLDER", help="soft-tissue models alike, as published (left out: stiff bodies)"
+    )
+    other.add_argument(
+        "--humanact12", required=True, metavar="FOLDER", help="pose_data/humanact12 of the lists' repository"
+    )
+    other.add_argument("--lists", required=True, metavar="FOLDER", help="HumanML3D's repository: index.csv, HumanML3D/")
+    for owner in ("bandai", "cmu", "hdm05"):
+        one.add_argument(
+            f"--{owner}", nargs="+", default=[], metavar="FOLDER", help=f"folders below which {owner}'s files are"
+        )
+    for corpus in (one, other):
+        corpus.add_argument("--out", required=True, metavar="FOLDER", help="folder to write")
+        corpus.add_argument("--processes", type=int, help="processes that read captures")
+        corpus.add_argument("--debug", action="store_true", help="show the traceback of an error")
 
 
 def _add_settings(parser: argparse.ArgumentParser, what: str) -> None:

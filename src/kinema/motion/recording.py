@@ -11,6 +11,7 @@ import torch
 
 from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.files.kinds import describe, head_of, require_file
+from kinema.motion.captures.reading import READERS, REFUSED, captured_joints, read_capture
 from kinema.motion.checks import Problem, check_clip
 from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.features import extract_every
@@ -18,10 +19,10 @@ from kinema.motion.formats.arrays import PARTS, load_npz
 from kinema.motion.lifting import lift
 from kinema.motion.recovery import recover_joints
 from kinema.motion.shapes import is_features, skeleton_of
-from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.motion.skeleton import HUMANML3D, Skeleton, get_skeleton
 from kinema.types import Motion
 
-FIX = "give joints (frames, joints, 3) or features as .npy, or an .npz that kinema wrote"
+FIX = "give joints (frames, joints, 3) or features as .npy, an .npz that kinema wrote, .bvh or .amc"
 BODY_PARAMETERS = ({"poses", "trans"}, {"root_orient", "pose_body"}, {"body_pose", "global_orient"})
 """Names that archives of SMPL's parameters have: AMASS', SMPL-X', and those of body fits."""
 RATES = ("fps", "mocap_framerate", "mocap_frame_rate")
@@ -70,12 +71,22 @@ class Recording:
 def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recording:
     """Read a clip. Raises FileNotFoundError, or ValueError that names the file, what it is and what to do."""
     path = Path(path)
+    if path.suffix.lower() in (*READERS, *REFUSED):
+        return _captured(path, convention)
     head = head_of(require_file(path, FIX))
     if head.startswith(b"PK"):
         return _archive(path, convention)
     if not head.startswith(b"\x93NUMPY"):
         raise ValueError(f"{path} {describe(head)}, no motion; {FIX}")
     return _from_array(path, read_npy(path, Wanted(NUMBERS), fix=FIX), convention)
+
+
+def _captured(path: Path, told: Convention) -> Recording:
+    """Read a capture of another skeleton, whose names say which joint is which."""
+    if told.order is not None or told.handed is not None:
+        raise ValueError(f"{path}: joints of a capture are known by their names: leave --order and --handed out")
+    joints, understood = captured_joints(read_capture(path), path, up=told.up, scale=told.scale, fps=told.fps)
+    return Recording(path, HUMANML3D, joints.astype(np.float32), None, AS_IS, str(understood))
 
 
 def _from_array(path: Path, array: np.ndarray, told: Convention, text: str = "") -> Recording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 def resampled(values: Float[np.ndarray, "t *n"], fps: float, wanted: float) -> Float[np.ndarray, "m *n"]:
@@ -15,9 +15,25 @@ def resampled(values: Float[np.ndarray, "t *n"], fps: float, wanted: float) -> F
         raise ValueError(f"cannot resample from {fps:g} to {wanted:g} frames per second; rates are positive numbers")
     if fps == wanted or len(values) == 0:
         return values
-    count = int((len(values) - 1) / fps * wanted + 1e-6) + 1
+    return blended(values, *sample_times(len(values), fps, wanted)).astype(values.dtype)
+
+
+def sample_times(
+    frames: int, fps: float, wanted: float
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Find for t = 0, 1/wanted, 2/wanted, ... the frames before and after, and the share of the one after."""
+    count = int((frames - 1) / fps * wanted + 1e-6) + 1
     times = np.arange(count) * (fps / wanted)
-    early = np.minimum(np.floor(times + 1e-9).astype(np.int64), len(values) - 1)
-    late = np.minimum(early + 1, len(values) - 1)
-    share = np.clip(times - early, 0, 1).reshape(-1, *[1] * (values.ndim - 1))
-    return ((1 - share) * values[early] + share * values[late]).astype(values.dtype)
+    early = np.minimum(np.floor(times + 1e-9).astype(np.int64), frames - 1)
+    return early, np.minimum(early + 1, frames - 1), np.clip(times - early, 0, 1)
+
+
+def blended(
+    values: Float[np.ndarray, "t *n"],
+    early: Int[np.ndarray, " m"],
+    late: Int[np.ndarray, " m"],
+    share: Float[np.ndarray, " m"],
+) -> Float[np.ndarray, "m *n"]:
+    """Interpolate linearly between two frames each."""
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return (1 - share) * values[early] + share * values[late]

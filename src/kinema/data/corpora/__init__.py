@@ -1,0 +1,1 @@
+"""Build corpora anew from what their owners publish: the recipes are here, the captures are not."""

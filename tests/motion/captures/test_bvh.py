@@ -1,0 +1,153 @@
+"""BVH: any channel order, units, axes and rates; what is wrong with a file is said in one line."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.motion.captures.conftest import REST, bvh_text
+
+from kinema.motion.captures.bvh import read_bvh
+from kinema.motion.captures.reading import captured_joints, read_capture
+from kinema.motion.kinematics import bone_lengths
+from kinema.motion.skeleton import HUMANML3D
+
+ANGLES = np.random.default_rng(0).uniform(-40, 40, (12, 22, 3))
+TO_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+
+
+def expected(angles: np.ndarray, order: str = "ZXY") -> np.ndarray:
+    """Walk the tree with scipy's intrinsic Euler angles."""
+    turned, found = [], []
+    for joint, parent in enumerate(HUMANML3D.parents):
+        own = Rotation.from_euler(order, angles[:, joint], degrees=True)
+        turned.append(own if parent < 0 else turned[parent] * own)
+        start = np.tile([0, 1.0, 0], (len(angles), 1)) if parent < 0 else found[parent]
+        found.append(start + (0 if parent < 0 else turned[parent].apply(REST[joint])))
+    return np.stack(found, 1)
+
+
+@pytest.mark.parametrize("order", ["ZXY", "XYZ", "YXZ", "ZYX", "YZX", "XZY"])
+def test_channels_turn_in_the_order_they_stand_in(order, write):
+    path = write("a.bvh", bvh_text(ANGLES, order=order, interval=0.05))
+    joints, understood = captured_joints(read_capture(path), path, up="y", scale=1)
+    np.testing.assert_allclose(joints, expected(ANGLES, order), atol=1e-5)
+    assert (understood.mapping, understood.fps) == ("SMPL", 20)
+
+
+def test_position_channels_replace_an_offset_but_for_the_root_which_adds_them(write):
+    text = """HIERARCHY
+ROOT a
+{
+  OFFSET 1 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT b c
+  {
+    OFFSET 0 5 0
+    CHANNELS 6 Zposition Yposition Xposition Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 0 2
+    }
+  }
+}
+MOTION
+Frames: 1
+Frame Time: .0333
+10 20 30 90 0 0 3 2 1 0 0 0
+"""
+    capture = read_bvh(write("a.bvh", text))
+    assert capture.names == ("a", "b c", "b c_end")
+    assert capture.fps == pytest.approx(1 / 0.0333)
+    np.testing.assert_allclose(capture.positions[0], [[11, 20, 30], [9, 21, 33], [9, 21, 35]], atol=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.001, 0.0254])
+def test_a_unit_is_found_from_the_body_in_any_pose(unit, write):
+    path = write("a.bvh", bvh_text(ANGLES, scale=1 / unit))
+    joints, understood = captured_joints(read_capture(path), path)
+    assert understood.scale == pytest.approx(unit)
+    assert understood.guessed_scale
+    np.testing.assert_allclose(bone_lengths(joints, HUMANML3D)[0], HUMANML3D.bone_lengths, atol=2e-4)
+    assert "30 fps, y up, guessed scale" in str(understood)
+
+
+@pytest.mark.parametrize(("up", "turn"), [("z", TO_Z_UP), ("-y", np.diag([-1.0, -1, 1])), ("-z", TO_Z_UP.T)])
+def test_another_axis_up_is_found_and_turned_not_mirrored(up, turn, write):
+    still = np.zeros((12, 22, 3))
+    root = np.tile(turn @ [0, 1, 0], (12, 1))
+    path = write("a.bvh", bvh_text(still, turn=turn, root=root))
+    joints, understood = captured_joints(read_capture(path), path)
+    assert understood.up == up
+    np.testing.assert_allclose(joints[0], expected(still)[0], atol=2e-5)
+
+
+def test_a_rest_pose_in_front_is_left_out_and_said(write):
+    moving = ANGLES[:1] + np.arange(12)[:, None, None]
+    path = write("a.bvh", bvh_text(np.concatenate([np.zeros((2, 22, 3)), moving]), interval=0.05))
+    joints, understood = captured_joints(read_capture(path), path, up="y")
+    np.testing.assert_allclose(joints, expected(moving), atol=1e-5)
+    assert "2 frames of a rest pose left out" in str(understood)
+
+
+def test_a_turn_is_resampled_along_its_arc(write):
+    angles = np.zeros((31, 22, 3))
+    angles[:, 0, 0] = np.arange(31) * 40.0  # degrees about Z a frame at 30 fps
+    path = write("a.bvh", bvh_text(angles))
+    joints, _ = captured_joints(read_capture(path), path, up="y", scale=1)
+    assert len(joints) == 21
+    np.testing.assert_allclose(bone_lengths(joints, HUMANML3D), np.tile(HUMANML3D.bone_lengths, (21, 1)), atol=1e-5)
+    exact = angles[:1].repeat(21, 0)
+    exact[:, 0, 0] = np.arange(21) * 60.0
+    np.testing.assert_allclose(joints, expected(exact), atol=1e-4)
+
+
+def test_the_rate_of_a_file_that_lies_can_be_given(write):
+    path = write("a.bvh", bvh_text(ANGLES, interval=0.05))
+    joints, understood = captured_joints(read_capture(path), path, up="y", scale=1, fps=40)
+    assert (len(joints), understood.fps) == (6, 40)
+    np.testing.assert_allclose(joints, expected(ANGLES[::2]), atol=1e-5)
+
+
+GOOD = bvh_text(ANGLES)
+BROKEN = {
+    "cut off in the middle of the frames": (GOOD[: int(len(GOOD) * 0.8)], "it is cut off"),
+    "cut off in the hierarchy": (GOOD[:700], "no MOTION section"),
+    "a brace too few": (GOOD.replace("}\nMOTION", "MOTION"), "is cut off in"),
+    "one channel too few": (
+        GOOD.replace("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 2 Zrotation Xrotation", 1),
+        "CHANNELS aren't",
+    ),
+    "no frames": (GOOD.replace("Frames: 12", "Frames: 0"), "has no frames"),
+    "frames that aren't there": (GOOD.replace("Frames: 12", "Frames: 1000000000000"), "holds 828"),
+    "NaN": (GOOD.rstrip().rpartition(" ")[0] + " nan", "nan in the motion (number 828)"),
+    "two roots": (GOOD.replace("MOTION", "ROOT second\n{\nOFFSET 0 0 0\nCHANNELS 0\n}\nMOTION"), "second ROOT"),
+    "a joint twice": (GOOD.replace("JOINT L_Knee", "JOINT L_Hip"), "several joints 'L_Hip'"),
+    "an unknown channel": (GOOD.replace("Zrotation", "Wrotation", 1), "channel 'wrotation'"),
+    "no frame time": (GOOD.replace("Frame Time: 0.0333333", ""), "`Frame Time: seconds`"),
+    "a frame time in milliseconds": (GOOD.replace("0.0333333", "33.3"), "Frame Time 33.3"),
+    "a word among the numbers": (GOOD.replace("OFFSET 0.103074", "OFFSET wide"), "'wide' in joint"),
+    "another file": ("<html>", "is no BVH file"),
+    "nothing": ("", "is no BVH file"),
+    "binary": ("\0\1\2", "is a binary file"),
+    "unknown joints": (GOOD.replace("L_Hip", "Tentacle"), "needs L_Hip too"),
+    "a giant": (bvh_text(ANGLES, scale=7), "no human"),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_what_is_wrong_with_a_file_is_one_clear_error(kind, write):
+    text, message = BROKEN[kind]
+    path = write("bad.bvh", text)
+    with pytest.raises(ValueError, match=re.escape(message)) as caught:
+        captured_joints(read_capture(path), path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a.c3d", "a.fbx", "a.asf", "a.xyz", "a"])
+def test_other_formats_are_refused_with_the_way_out(name, write):
+    with pytest.raises(ValueError, match=name):
+        read_capture(write(name, "x"))
