@@ -40,6 +40,7 @@ KINDS = (
 )
 SHELLS = ("bash", "zsh")
 PARTS = ("upper", "lower")
+MOTIONS = ".html .mp4 .npz .npy .png .bvh .glb .vrma"
 FORMATS = ("joints", "humanml3d", "kit", "synthetic")
 EXPERIMENTS = {
     "train": ("kinema.experiments.entry:train", "fit a stage of a method or evaluator: stage=generator method=..."),
@@ -153,10 +154,11 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
     change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
+    _add_export(add("export", "write a motion in another format", "exporting:export"))
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
-        one.add_argument("--out", required=True, help="file to write: .html .mp4 .npz .npy .png .bvh .glb .vrma")
+        one.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
@@ -188,7 +190,7 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--processes", type=int, help="processes that extract features")
     _add_convention(pack)
     _add_settings(pack, "reader option, e.g. size=400 of synthetic; max_missing or max_unusable, shares of clips")
-    _add_corpora(add("corpus", "build a corpus anew from what its owners publish"))
+    _add_corpora(add("corpus", "build a corpus anew from what its owners publish", "corpora:corpus"))
     check = add("doctor", "examine a corpus, a packed store or a file of motion")
     check.add_argument(
         "what",
@@ -230,6 +232,20 @@ def _add_convention(parser: argparse.ArgumentParser) -> None:
         "--order", help="order of joints: swapped, limbs, limbs-right, trunk, trunk-right, or their names"
     )
     told.add_argument("--fps", type=float, help="their frame rate; they are resampled to the skeleton's")
+
+
+def _add_export(parser: argparse.ArgumentParser) -> None:
+    """Add what a motion may be changed by on its way out."""
+    parser.add_argument("motion", help="a file of motion: .npz of generate, .npy of joints, .bvh, .amc")
+    parser.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
+    parser.add_argument("--lock-feet", action="store_true", help="hold feet that stand; legs bend, nothing else moves")
+    rigs = parser.add_argument_group("changes of .bvh, .glb and .vrma", "formats that hold rotations")
+    rigs.add_argument("--rate", type=float, metavar="FPS", help="frames per second to write (turns are interpolated)")
+    rigs.add_argument("--in-place", action="store_true", help="stay over one spot")
+    rigs.add_argument("--facing", type=float, metavar="DEGREES", help="start at the origin, so far from +Z towards +X")
+    rigs.add_argument("--loop", action="store_true", help="let the last half second become the first pose")
+    rigs.add_argument("--z-up", action="store_true", help="Z up, facing -Y (.bvh)")
+    _add_convention(parser)
 
 
 def _add_corpora(parser: argparse.ArgumentParser) -> None:

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
 import platform
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from rich.progress import track
 
 from kinema.data import doctor as examine
-from kinema.data.corpora.humanml3d import Report, Sources, build_humanml3d
-from kinema.data.corpora.open_mocap import OWNERS, Rebuilt, rebuild
 from kinema.data.prepare import check_reader, read_corpus
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
@@ -27,7 +22,6 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.listing import Listed
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
-from kinema.motion.captures.amass import BodyModels
 from kinema.motion.convention import Convention
 from kinema.motion.recording import read_recording
 from kinema.motion.representation import Representation
@@ -131,26 +125,6 @@ def prepare(options: argparse.Namespace) -> None:
     )
     store = PackedStore.open(path)
     print(printable(f"wrote {path}: {store!r}"))
-
-
-def corpus(options: argparse.Namespace) -> int:
-    """Build a corpus from what its owners publish; exit code 1 if clips are missing."""
-    processes, out = options.processes or min(4, os.cpu_count() or 1), Path(options.out)
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        work = {"pool": pool, "watch": lambda takes, total: track(takes, "takes", total)}
-        report = _humanml3d(options, out, work) if options.corpus == "humanml3d" else _open_mocap(options, out, work)
-    print(report)
-    return 0 if report.whole else 1
-
-
-def _open_mocap(options: argparse.Namespace, out: Path, work: dict[str, Any]) -> Rebuilt:
-    return rebuild({owner: [Path(f) for f in getattr(options, owner)] for owner in OWNERS}, out, **work)
-
-
-def _humanml3d(options: argparse.Namespace, out: Path, work: dict[str, Any]) -> Report:
-    models = BodyModels(Path(options.smplh), Path(options.dmpls) if options.dmpls else None)
-    sources = Sources(Path(options.amass), models, Path(options.humanact12))
-    return build_humanml3d(sources, Path(options.lists), out, **work)
 
 
 def doctor(options: argparse.Namespace) -> int:
