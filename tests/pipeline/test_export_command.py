@@ -14,7 +14,7 @@ from kinema.motion.formats.arrays import load_npz
 def walk(tmp_path):
     """Write one synthetic clip's joints, lifted off the floor."""
     clip = next(iter(synthetic_catalog(size=8, seed=2)))
-    np.save(tmp_path / "walk.npy", (clip.joints() + [0, 0.3, 0]).astype(np.float32))
+    np.save(tmp_path / "walk.npy", (clip.joints() + np.array([0, 0.3, 0])).astype(np.float32))
     return tmp_path / "walk.npy"
 
 

@@ -29,29 +29,31 @@ def export(options: argparse.Namespace) -> None:
     skeleton = recording.skeleton
     motion = recording.motion(skeleton, skeleton.essential_width)
     if options.lock_feet:
-        motion = _standing(motion, skeleton)
+        # A capture's floor is where its feet are; that of features is at 0.
+        floor = float(motion.joints[..., 1].min()) if recording.features is None else 0.0
+        motion = _standing(motion, skeleton, floor)
     changes = Changes(options.rate, options.in_place, options.facing, options.loop, options.z_up)
     path = write.save(motion, options.out, changes)
     print(f"wrote {path}{_fit(motion) if Path(path).suffix in write.RIGGED else ''}")
 
 
-def _standing(motion: Motion, skeleton: Skeleton) -> Motion:
-    """Hold feet that stand, and say what that changed."""
-    held = lock_feet(motion.joints, skeleton, motion.fps).astype(np.float32)
+def _standing(motion: Motion, skeleton: Skeleton, floor: float) -> Motion:
+    """Hold feet that stand on the floor, and say what that changed."""
+    raised = np.array([0, floor, 0], dtype=np.float32)
+    standing = motion.joints - raised
+    held = lock_feet(standing, skeleton, motion.fps).astype(np.float32)
     before, after = (
-        float(foot_skating(torch.as_tensor(j)[None], torch.tensor([len(j)]), skeleton)) for j in (motion.joints, held)
+        float(foot_skating(torch.as_tensor(joints)[None], torch.tensor([len(joints)]), skeleton))
+        for joints in (standing, held)
     )
-    farthest = np.linalg.norm(held - motion.joints, axis=-1).max() * skeleton.meters
-    print(
-        f"feet      {before:.1%} of low frames slid, now {after:.1%}; a joint moved by {farthest * 100:.1f} cm at most"
-    )
-    return replace(motion, joints=held)
+    farthest = np.linalg.norm(held - standing, axis=-1).max() * skeleton.meters * 100
+    print(f"feet      {before:.1%} of low frames slid, now {after:.1%}; no joint moved by more than {farthest:.1f} cm")
+    return replace(motion, joints=held + raised)
 
 
 def _fit(motion: Motion) -> str:
+    """Say how near rotations come to the joints."""
     skeleton = get_skeleton(motion.skeleton)
     joints = np.asarray(motion.joints) * skeleton.meters
-    error = np.linalg.norm(fit_rig(joints, rest_pose(skeleton), motion.fps).positions - joints, axis=-1)
-    return (
-        f": rotations reproduce the joints to {error.mean() * 1000:.1f} mm (mean), {error.max() * 1000:.0f} mm (most)"
-    )
+    error = np.linalg.norm(fit_rig(joints, rest_pose(skeleton), motion.fps).positions - joints, axis=-1) * 1000
+    return f": rotations reproduce the joints to {error.mean():.1f} mm on average, {error.max():.0f} mm at most"
