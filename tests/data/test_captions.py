@@ -28,9 +28,44 @@ def test_hash_inside_a_caption_stays():
 
 
 @pytest.mark.parametrize(
+    "line",
+    [
+        "a person does set #3 of jumps",
+        "a person walks #fast",
+        "a person walks#fast",
+        "pose #2",
+        "#1 in line walks",
+        "set #3 of #4",
+        "jumps #1 and #2 and #3 of them",
+        "a #b #c #d e #f",
+        "reads c# code",
+    ],
+)
+def test_a_hash_in_a_bare_caption_is_text(line):
+    assert parse_line(line) == AnnotatedCaption(Caption(line))
+    assert parse_line(f"{line}##0.0#0.0") == AnnotatedCaption(Caption(line))
+
+
+@pytest.mark.parametrize("tokens", ["a person walk", "a/DET person walk/VERB", "walk", "walk/VERB jump"])
+@pytest.mark.parametrize("times", ["0.0#0.0", "1.5#4", "nan#nan"])
+def test_tokens_of_which_one_has_no_tag_are_left_out(tokens, times):
+    found = parse_line(f"a person walks#{tokens}#{times}")
+    assert found.caption == Caption("a person walks")
+    assert found.tagged == (times == "1.5#4")
+
+
+@pytest.mark.parametrize(
     ("line", "says"),
     [
         ("#a/DET#0#0", "no caption"),
+        ("##0#0", "no caption"),
+        ("#", "no caption"),
+        (" #walk/VERB", "no caption"),
+        ("sets #1 #2 #3", "may end in text or in times"),
+        ("a man walks # a man walk # 0.0 # 0.0", "may end in text or in times"),
+        ("he runs#1.0#2.0", "three fields"),
+        ("pose #2#pose/NOUN", "three fields"),
+        ("he runs#run/VERB#x#4", "'x'"),
         ("he runs#he/PRON#1.0", "three fields"),
         ("he runs##soon#2.0", "'soon'"),
         ("he runs##-1#2.0", "not negative"),

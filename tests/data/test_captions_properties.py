@@ -12,6 +12,7 @@ from kinema.types import Caption
 SIDED = ("left", "Right", "LEFT", "clockwise", "counterclockwise", "left-handed", "rightward", "left/ADJ", "leftmost")
 PLAIN = ("a", "man", "turns", "walks", "bright", "leftover", "step/NOUN", "arm", ",")
 WORDS = st.lists(st.sampled_from(SIDED + PLAIN), min_size=1, max_size=8)
+TOKENS = st.lists(st.sampled_from(("a/DET", "left/ADJ", "step/NOUN", "and/or/CCONJ", "/X", "1/NUM")))
 SECONDS = st.floats(0, 500).map(lambda s: round(s, 2))
 
 
@@ -26,7 +27,13 @@ def test_every_side_is_swapped_and_nothing_else(words):
     assert [a != b for a, b in zip(words, swapped, strict=True)] == [word in SIDED for word in words]
 
 
-@given(WORDS, WORDS, SECONDS, SECONDS)
+@given(WORDS, TOKENS, SECONDS, SECONDS)
 def test_a_caption_line_reads_back_as_written(words, tokens, start, end):
     caption = AnnotatedCaption(Caption(" ".join(words), tuple(tokens)), start, end)
     assert parse_line(format_caption(caption)) == caption
+
+
+@given(WORDS.filter(lambda words: not all("/" in word for word in words)), st.sampled_from(["", " ", "("]))
+def test_a_bare_caption_may_hold_a_sign(words, sign):
+    caption = " ".join(words)
+    assert parse_line(f"set {sign}#3 of {caption}").caption == Caption(f"set {sign}#3 of {caption}")

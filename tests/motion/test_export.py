@@ -62,6 +62,32 @@ def test_mp4_has_the_frames_and_rate(wander, tmp_path, skeleton):
         assert (frames[0][..., channel].astype(int) - frames[0][..., other] > 80).sum() > 100
 
 
+TITLES = ("pays $x^{2 and $5", r"$\frac{$", "a_b^c %s {0} <b>", "d\udce9marre", "\ud83c", "a\0b\n\tc", "", "x" * 500)
+
+
+@pytest.mark.parametrize("title", TITLES)
+@pytest.mark.parametrize("suffix", [".png", ".html", ".npz"])
+def test_any_text_can_stand_in_a_title(motion, tmp_path, suffix, title):
+    if suffix == ".png":
+        pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'kinema[viz]'")
+    assert export.save(replace(motion, text=title), tmp_path / f"m{suffix}").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("title", TITLES[:4])
+def test_any_text_can_stand_in_a_film(motion, tmp_path, title):
+    pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed: pip install 'kinema[viz]'")
+    short = replace(motion, text=title, joints=motion.joints[:3], features=motion.features[:3])
+    assert export.save(short, tmp_path / "film.mp4").stat().st_size > 500
+
+
+def test_dollar_signs_are_drawn_and_not_read(motion, tmp_path):
+    image = pytest.importorskip("matplotlib.image", reason="matplotlib is not installed: pip install 'kinema[viz]'")
+    drawn = [
+        image.imread(export.save(replace(motion, text=t), tmp_path / f"{i}.png")) for i, t in enumerate(("$a$", "a"))
+    ]
+    assert not np.array_equal(*drawn)
+
+
 def test_strip_is_one_wide_picture(motion, tmp_path):
     image = pytest.importorskip("matplotlib.image", reason="pip install 'kinema[viz]'")
     height, width, _ = image.imread(export.save(motion, tmp_path / "strip.png")).shape

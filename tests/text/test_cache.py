@@ -206,7 +206,8 @@ def test_pickled_cache_opens_its_folder_anew(tmp_path):
 
 def test_unusable_texts_are_refused_before_anything_is_written(tmp_path):
     cache = CachedTextEncoder(Counting(), tmp_path)
-    for texts in ([], ["walk", ""], "walk", [None]):
+    for texts in ([], ["walk", ""], "", [None], ["\ud83c"]):
         with pytest.raises(ValueError, match="text"):
             cache(texts)
     assert not (cache.folder / "index.bin").exists()
+    assert cache("walk").texts == cache(["walk"]).texts == ["walk"]

@@ -1,13 +1,16 @@
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
 import torch
 
 from kinema.text.encoders import build_text_encoder
+from kinema.text.frozen import check_texts
 
 TEXTS = [
     "a person walks forward",
@@ -41,6 +44,45 @@ def test_minilm_text_does_not_depend_on_its_batch(minilm):
         mask = together.token_mask[i]
         assert int(mask.sum()) == alone.tokens.shape[1]
         torch.testing.assert_close(alone.tokens[0], together.tokens[i][mask], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("🏃💨", "knows no word of 1 of 2 texts: '🏃💨'"),
+        ("😀😀 🏃", "knows no word of 1 of 2 texts"),
+        ("一个人走路，然后跳跃", None),
+        ("a person 🏃 walks", "doesn't know words or signs in 1 of 2 texts"),
+        (
+            "a person walks " * 100,
+            "reads 256 tokens and cuts 1 of 2 texts longer: 'a person .*' has 302",
+        ),
+        ("a person walks", None),
+        ("...!", None),
+    ],
+)
+def test_minilm_says_once_what_it_cuts_or_does_not_know(minilm, text, says):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        minilm(["a man jumps", text])
+    said = [str(w.message) for w in told]
+    if says is None:
+        assert not [w for w in said if "knows no word" in w or "cuts" in w]
+    else:
+        assert len(said) == 1
+        assert re.search(says, said[0])
+
+
+@pytest.mark.parametrize("text", ["a person d\udce9marre", "\ud83c", "walk \udfff"])
+def test_half_a_surrogate_is_refused_before_any_encoder_sees_it(text):
+    with pytest.raises(ValueError, match=r"text 1, .* is not valid UTF-8 at character \d+"):
+        check_texts(["a man jumps", text])
+
+
+def test_a_bare_string_is_one_prompt():
+    assert check_texts("walk") == ["walk"]
+    hashed = build_text_encoder("hashed")
+    torch.testing.assert_close(hashed("walk").pooled, hashed(["walk"]).pooled)
 
 
 def test_minilm_knows_paraphrases(minilm):
@@ -86,7 +128,6 @@ def test_hashed_is_the_same_in_every_process():
         (["walk", "  "], "text 1 is empty"),
         ([""], "a person walks forward"),
         ([], "at least one"),
-        ("walk", r"pass \['walk'\]"),
         ([3], "text 0 is int 3"),
     ],
 )

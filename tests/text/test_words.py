@@ -162,6 +162,30 @@ def test_captions_without_tokens_are_split_and_it_is_said_once(monkeypatch):
         tag_words(" ")
 
 
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (ModuleNotFoundError("No module named 'spacy'"), None),
+        (ImportError("libcudart.so.11 not found"), "libcudart"),
+        (OSError("[E050] Can't find model 'en_core_web_sm'"), "E050"),
+        (ValueError("numpy.dtype size changed, Expected 96 from C header"), "numpy.dtype size changed"),
+        (AttributeError("module 'pydantic' has no attribute 'v1'"), "pydantic"),
+        (TypeError("issubclass() arg 1 must be a class"), "issubclass"),
+    ],
+)
+def test_a_spacy_that_cannot_be_loaded_is_told_and_passed_over(monkeypatch, error, reason):
+    class Broken:
+        def load(self, name):
+            raise error
+
+    monkeypatch.setitem(__import__("sys").modules, "spacy", Broken())
+    vip._tagger.cache_clear()
+    with pytest.warns(UserWarning, match=r"kinema\[tag\]") as told:
+        assert tag_words("he walks") == ("he/OTHER", "walks/OTHER")
+    assert (f"(spaCy: {error}" in str(told[0].message)) is (reason is not None)
+    vip._tagger.cache_clear()
+
+
 def test_tagged_captions_follow_the_published_rules(monkeypatch):
     class Word:
         def __init__(self, text, lemma, pos):

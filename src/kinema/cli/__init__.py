@@ -6,7 +6,9 @@ import argparse
 import ast
 import importlib
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from kinema import __version__
@@ -46,6 +48,10 @@ KEEP_HELP = (
     f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
+PROMPTS_HELP = (
+    "file of prompts, one a line, in place of TEXT; `a person walks#120` says how many frames it has, others take "
+    "--seconds or --frames, or an estimate"
+)
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
     "legs and foot contacts (methods that generate frames: mdm, motiondiffuse, ...)"
@@ -65,7 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options.set = _settings(options.set)
         from kinema.cli import commands  # here, so that --help answers at once
 
-        return getattr(commands, options.command)(options) or 0
+        with _plain_warnings():
+            return getattr(commands, options.command)(options) or 0
     except (ValueError, OSError, ImportError) as error:
         if options.debug:
             raise
@@ -73,6 +80,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Print what users should know as one line, without the place in the code."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, UserWarning):
+                print(f"warning: {' '.join(str(message).split())}", file=sys.stderr)
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show
+        yield
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -91,7 +114,8 @@ def _parser() -> argparse.ArgumentParser:
     for name, (_, what) in EXPERIMENTS.items():
         commands.add_parser(name, help=what)
     make = add("generate", "generate one motion per text")
-    make.add_argument("text", nargs="+", help="what the person does; several texts give several motions")
+    make.add_argument("text", nargs="*", help="what the person does; several texts give several motions")
+    make.add_argument("--prompts", metavar="FILE", help=PROMPTS_HELP)
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
     make.add_argument("--frames", type=int, help="length in frames")
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")

@@ -8,6 +8,7 @@ import os
 import platform
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,18 +34,21 @@ from kinema.runs.folder import RunFolder, read_json
 from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH
 from kinema.runs.versions import versions
+from kinema.text.prompts import Prompt, is_file_name, read_prompts
 from kinema.types import Motion
 
 
 def generate(options: argparse.Namespace) -> None:
     """Generate one motion per text, or one long motion of all."""
-    files = _files(options.out, 1 if options.chain else len(options.text))
+    prompts = _prompts(options)
+    texts = [prompt.text for prompt in prompts]
+    files = _files(options.out, 1 if options.chain else len(texts))
+    lengths = _lengths(options, prompts)
     model = _model(options)
-    lengths = {"frames": options.frames, "seconds": options.seconds}
     if options.chain:
-        _write([model.chain(options.text, **lengths, seed=options.seed, **options.set)], files)
+        _write([model.chain(texts, **lengths, seed=options.seed, **options.set)], files)
         return
-    _write(model.generate(options.text, **lengths, seed=options.seed, **options.set), files)
+    _write(model.generate(texts, **lengths, seed=options.seed, **options.set), files)
 
 
 def edit(options: argparse.Namespace) -> None:
@@ -71,8 +75,8 @@ def edit(options: argparse.Namespace) -> None:
         **options.set,
     )
     _write(made, files)
-    if made[0].kept is not None:
-        print(_stayed(made[0], model.skeleton))
+    if (kept := made[0].kept) is not None:
+        print(_stayed(made[0], kept, model.skeleton))
 
 
 def import_checkpoint(options: argparse.Namespace) -> None:
@@ -147,6 +151,33 @@ def info(options: argparse.Namespace) -> None:
     print(json.dumps(parts, indent=2))
 
 
+def _prompts(options: argparse.Namespace) -> list[Prompt]:
+    """Return what is to be generated: the texts of the command line, or those of a file."""
+    if bool(options.text) == (options.prompts is not None):
+        raise ValueError("give TEXT, one or several, or --prompts FILE (one prompt a line), and not both")
+    if options.prompts is not None:
+        return read_prompts(options.prompts)
+    for text in options.text:
+        if is_file_name(text):
+            raise ValueError(f"{text} is the name of a file, not what a person does; give --prompts {text}")
+    return [Prompt(text) for text in options.text]
+
+
+def _lengths(options: argparse.Namespace, prompts: list[Prompt]) -> dict[str, Any]:
+    """Return the lengths asked for: those of the command line, and of the prompts that say one their own."""
+    if all(prompt.frames is None for prompt in prompts):
+        return {"frames": options.frames, "seconds": options.seconds}
+    if options.seconds is not None:
+        raise ValueError(
+            f"--seconds {options.seconds:g} and prompts with frames (text#120); give --frames for the others"
+        )
+    frames = [options.frames if prompt.frames is None else prompt.frames for prompt in prompts]
+    if None in frames:
+        bare = prompts[frames.index(None)].text
+        raise ValueError(f"prompt {bare!r} says no length and others do; write {bare}#120, or give --frames for such")
+    return {"frames": frames}
+
+
 def _convention(options: argparse.Namespace) -> Convention:
     return Convention(**{field.name: getattr(options, field.name) for field in fields(Convention)})
 
@@ -166,9 +197,10 @@ def _files(out: str, count: int) -> list[Path]:
     return [path.with_stem(f"{path.stem}-{i}") for i in range(1, count + 1)]
 
 
-def _stayed(motion: Motion, skeleton: Skeleton) -> str:
+def _stayed(motion: Motion, kept: np.ndarray, skeleton: Skeleton) -> str:
     """Say which frames an edit kept, and how far a joint moves where the new ones begin or end."""
-    borders = np.flatnonzero(np.diff(np.pad(motion.kept, 1).astype(np.int8))).reshape(-1, 2)
+    inside = np.pad(kept, 1)
+    borders = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
     said = f"kept frames {', '.join(f'{start}:{end}' for start, end in borders)}" if len(borders) else "kept no frame"
     seam = largest_seam(motion)
     return said if seam is None else f"{said}; largest step at a seam {seam[1]:.3g} {skeleton.unit} (frame {seam[0]})"

@@ -31,20 +31,54 @@ class AnnotatedCaption:
 def parse_line(line: str) -> AnnotatedCaption:
     """Read `caption#word/POS word/POS ...#start#end`; a bare caption, or one with tokens only, is about the whole clip.
 
-    Raises ValueError for an empty caption, three fields, or times that are no numbers, negative or infinite.
+    A `#` that stands in a caption is text, whether tokens follow or not. Tokens of which one has no tag are left out:
+    they are made anew of the caption. Raises ValueError for an empty caption, three fields, times that are no numbers,
+    negative or infinite, and what may be a caption with numbers behind `#` as well as one with times.
     """
-    parts = line.strip().rsplit("#", 3)
-    if len(parts) == 3:
-        raise ValueError(f"caption line {line.strip()!r} has three fields; write `caption#tokens#start#end`")
-    text, tokens, start, end = parts + ["", "", "0", "0"][len(parts) :]
+    text, tokens, start, end = _fields(line.strip())
     if not text.strip():
         raise ValueError(f"caption line {line.strip()!r} has no caption before the first `#`")
-    return AnnotatedCaption(Caption(text.strip(), tuple(tokens.split())), _seconds(start, line), _seconds(end, line))
+    found = Caption(text.strip(), tuple(tokens.split()) if untagged(tokens) is None else ())
+    return AnnotatedCaption(found, _seconds(start, line), _seconds(end, line))
 
 
 def parse_captions(text: str) -> list[AnnotatedCaption]:
     """Read a caption file, one caption a line; blank lines are passed over."""
     return [parse_line(line) for line in text.splitlines() if line.strip()]
+
+
+def tokens_of(line: str) -> str:
+    """Return what stands in a line's field for tokens, tagged or not."""
+    return _fields(line.strip())[1]
+
+
+def untagged(tokens: str) -> str | None:
+    """Return the first token without a tag, None where all have one."""
+    return next((token for token in tokens.split() if "/" not in token), None)
+
+
+def _fields(line: str) -> tuple[str, str, str, str]:
+    """Split a line into caption, tokens, start and end; every `#` that separates no such field is the caption's."""
+    parts = line.rsplit("#", 3)
+    are_tokens = [untagged(part) is None for part in parts]
+    are_times = len(parts) > 2 and _number(parts[-2]) and _number(parts[-1])
+    if len(parts) == 4 and (are_times or are_tokens[1]):
+        if not are_tokens[1] and any(part[-1:].isspace() for part in parts[:3]):
+            raise ValueError(f"caption line {line!r} may end in text or in times; write `caption##0#0` if it is text")
+        return parts[0], parts[1], parts[2], parts[3]
+    if len(parts) == 3 and (are_times or any(are_tokens[1:])):
+        raise ValueError(f"caption line {line!r} has three fields; write `caption#tokens#start#end`")
+    if len(parts) == 2 and are_tokens[1]:
+        return parts[0], parts[1], "0", "0"
+    return line, "", "0", "0"
+
+
+def _number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
 
 
 def _seconds(text: str, line: str) -> float:

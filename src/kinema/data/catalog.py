@@ -11,9 +11,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from kinema.data.captions import AnnotatedCaption, parse_line
+from kinema.data.captions import AnnotatedCaption
 from kinema.data.folders import listed_names, stems
 from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
+from kinema.data.slips import UNREADABLE, Slip, check_readable, read_captions
 from kinema.files.arrays import NUMBERS, Wanted, read_npy
 from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.skeleton import get_skeleton
@@ -73,13 +74,14 @@ class Dropped:
 class Catalog:
     """Hold the clips of a corpus in split order, what was dropped on the way, and the statistics it ships with.
 
-    `rate` says where the frame rate of its joints is known from.
+    `rate` says where the frame rate of its joints is known from, `slips` what is wrong with lines of captions.
     """
 
     clips: list[Clip]
     dropped: list[Dropped] = field(default_factory=list)
     statistics: Statistics | None = None
     rate: str = ""
+    slips: list[Slip] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[Clip]:
         return iter(self.clips)
@@ -146,7 +148,7 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
             f"{root}/Mean.npy is {len(statistics.mean)} wide, {skeleton} has {width}; is this the folder of the other "
             "corpus (pass skeleton='kit' or 'humanml3d'), or Mean.npy of the essential dims? Remove it to compute it"
         )
-    return Catalog(catalog.clips, catalog.dropped, statistics)
+    return replace(catalog, statistics=statistics)
 
 
 def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], split: str | None = None) -> Catalog:
@@ -155,22 +157,24 @@ def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], spl
     listed, index = _read_splits(root, motions, split), read_index(root)
     available = set(stems(root / motions, ".npy"))
     texts = set(stems(root / "texts", ".txt")) if (root / "texts").is_dir() else None
-    clips, dropped = [], []
+    clips, dropped, slips = [], [], list[Slip]()
     for name, split in listed.items():
         lacking = [f"{motions}/{name}.npy"] if name not in available else []
         lacking += [f"texts/{name}.txt"] if texts is not None and name not in texts else []
         if lacking:
             dropped.append(Dropped(name, split, "missing", f"{' and '.join(lacking)} not found"))
             continue
-        captions, unreadable = ([], []) if texts is None else _read_captions(root / "texts" / f"{name}.txt")
-        dropped += [Dropped(name, split, "caption", reason) for reason in unreadable]
+        captions, wrong = ([], []) if texts is None else read_captions(root, f"texts/{name}.txt")
+        slips += wrong
+        dropped += [Dropped(name, split, "caption", str(slip)) for slip in wrong if slip.flaw is UNREADABLE]
         load: dict[str, Any] = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
         mirrored = name.startswith("M") and name[1:] in listed
         base, fields = name[1:] if mirrored else name, known.get(name, {})
         named = kind == "joints" and not any(fields.get(field) for field in SOURCE_FIELDS)
         origin = index.get(base) or (named_origin(base) if named else None)
         clips.append(Clip(name, split, captions, fields, mirrored=mirrored, origin=origin, **load))
-    return Catalog(clips, dropped)
+    check_readable(root, slips, sum(len(clip.captions) for clip in clips))
+    return Catalog(clips, dropped, slips=slips)
 
 
 def load_array(file: str) -> np.ndarray:
@@ -197,19 +201,6 @@ def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str
     if not found:
         raise ValueError(f"{lists}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
     return found
-
-
-def _read_captions(file: Path) -> tuple[list[AnnotatedCaption], list[str]]:
-    """Read a caption file; give the captions, and for every unreadable line the reason."""
-    captions, unreadable = [], []
-    for number, line in enumerate(file.read_text(encoding="utf-8-sig", errors="replace").splitlines(), start=1):
-        if not line.strip():
-            continue
-        try:
-            captions.append(parse_line(line))
-        except ValueError as error:
-            unreadable.append(f"line {number}: {error}")
-    return captions, unreadable
 
 
 def _read_fields(file: Path) -> dict[str, dict[str, str]]:

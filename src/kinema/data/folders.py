@@ -6,6 +6,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+from kinema.files.lines import read_lines
+
 
 def walk(root: Path) -> Iterator[tuple[str, list[str]]]:
     """Give every folder below `root`, itself first, with the names of its files, sorted; each once, whatever links."""
@@ -32,6 +34,6 @@ def stems(root: Path, suffix: str) -> list[str]:
 
 
 def listed_names(file: Path) -> list[str]:
-    """Read a list of clips, one name a line; `NAME.npy` is read as `NAME`."""
-    lines = map(str.strip, file.read_text(encoding="utf-8-sig").splitlines())
+    """Read a list of clips, one name a line; `NAME.npy` is read as `NAME`. Raises ValueError for what is no text."""
+    lines = (line.text.strip() for line in read_lines(file))
     return [line.removesuffix(".npy") for line in lines if line]

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinema.data.catalog import SPLITS, Dropped
+from kinema.data.catalog import SPLITS, Catalog, Dropped
+from kinema.data.slips import READABLE
 from kinema.motion.skeleton import get_skeleton
 
 MAX_UNUSABLE = 0.2
@@ -40,10 +41,14 @@ def by_kind(dropped: Sequence[Dropped]) -> dict[str, list[Dropped]]:
     return dict(sorted(found.items(), key=lambda item: -len(item[1])))
 
 
-def told_of(rate: str, dropped: Sequence[Dropped], manifest: dict[str, Any], out: Path) -> Iterator[str]:
+def told_of(catalog: Catalog, dropped: Sequence[Dropped], manifest: dict[str, Any], out: Path) -> Iterator[str]:
     """Write for people how a corpus was read and what it was left without; nothing where there is nothing to say."""
-    if rate:
-        yield f"rate      {rate}; entries have {get_skeleton(manifest['skeleton']).fps:g} fps"
+    if catalog.rate:
+        yield f"rate      {catalog.rate}; entries have {get_skeleton(manifest['skeleton']).fps:g} fps"
+    for flaw in READABLE:
+        if slips := [str(slip) for slip in catalog.slips if slip.flaw is flaw]:
+            shown = f"{'; '.join(slips[:SHOWN])}{'; ...' if len(slips) > SHOWN else ''}"
+            yield f"captions  {len(slips)} {flaw.message}: {shown}; fix: {flaw.fix}"
     units = {"missing": "listed clips without files", "clip": "unusable clips", "caption": "unreadable captions"}
     for what, unit in units.items():
         if found := [d for d in dropped if d.what == what]:

@@ -138,7 +138,7 @@ def prepare(
             options = {"request": request, "mirror": mirror, "legacy_fps": legacy_fps}
             manifest = _write(catalog, writer, options, max_unusable, processes)
             _move(staging, out, manifest["hash"])
-    for line in told_of(catalog.rate, writer.dropped, manifest, out):
+    for line in told_of(catalog, writer.dropped, manifest, out):
         print(line, flush=True)
     return out
 

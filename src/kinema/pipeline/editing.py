@@ -193,7 +193,7 @@ def largest_seam(motion: Motion) -> tuple[int, float] | None:
     """Return the frame between kept and new motion into which a joint moves farthest, and how far; None: no seam."""
     if motion.kept is None:
         return None
-    seams = np.flatnonzero(np.diff(motion.kept.astype(np.int8))) + 1
+    seams = np.flatnonzero(motion.kept[1:] != motion.kept[:-1]) + 1
     if not len(seams):
         return None
     steps = np.linalg.norm(motion.joints[seams] - motion.joints[seams - 1], axis=-1).max(-1)

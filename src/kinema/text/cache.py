@@ -49,7 +49,8 @@ class CachedTextEncoder:
             self._features = PackedFeatures(self.folder, self.identity, self.dim, self.token_dim, self.token_dtype)
         return self._features
 
-    def __call__(self, texts: list[str]) -> TextFeatures:
+    def __call__(self, texts: list[str] | str) -> TextFeatures:
+        texts = [texts] if isinstance(texts, str) else texts
         index = self.features.index
         try:
             rows = [index[text] for text in texts]

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from kinema.text.files import INSTALL, clip_folder, quiet_loading, require, short_hash, weights_file
-from kinema.text.frozen import check_texts, encode_in_chunks
+from kinema.text.frozen import check_texts, encode_in_chunks, tell_losses
 from kinema.types import TextFeatures
 
 REPOSITORIES = {
@@ -58,7 +58,10 @@ class ClipTextEncoder:
         return model.eval().requires_grad_(False).to(self.device)
 
     def __call__(self, texts: list[str]) -> TextFeatures:
-        return encode_in_chunks(check_texts(texts), self._encode)
+        texts = check_texts(texts)
+        # The vocabulary spells in bytes whatever it has no word for.
+        tell_losses("CLIP", texts, self.tokenizer(texts, verbose=False)["input_ids"], self.context, unknown=None)
+        return encode_in_chunks(texts, self._encode)
 
     def empty(self) -> TextFeatures:
         """Encode the empty text: start and end alone."""

@@ -7,7 +7,8 @@ It is no nn.Module, so that a model that holds one doesn't register, save, avera
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol, runtime_checkable
 
 import torch
@@ -54,6 +55,45 @@ def check_texts(texts: Iterable[object]) -> list[str]:
     if not checked:
         raise ValueError("no texts were given; pass at least one string")
     return checked
+
+
+def tell_losses(name: str, texts: list[str], ids: Sequence[Sequence[int]], context: int, unknown: int | None) -> None:
+    """Warn once of texts that an encoder cuts, or of which it doesn't know words; they are encoded all the same.
+
+    Args:
+        ids: of each whole text, its start and end included.
+        context: how many of them are read.
+        unknown: the id of every word outside the vocabulary (None: there is none, words are spelt in bytes).
+    """
+    cut = [(text, len(row)) for text, row in zip(texts, ids, strict=True) if len(row) > context]
+    if cut:
+        warnings.warn(
+            f"{name} reads {context} tokens and cuts {_of(len(cut), len(texts))} longer: {_short(cut[0][0])} has "
+            f"{cut[0][1]}; say it in fewer words",
+            stacklevel=3,
+        )
+    counted = zip(texts, ids, strict=True) if unknown is not None else ()
+    strange = [(text, row.count(unknown), len(row) - 2) for text, row in counted]
+    if blind := [text for text, count, size in strange if count and count == size]:
+        warnings.warn(
+            f"{name} knows no word of {_of(len(blind), len(texts))}: {_short(blind[0])}; all such texts give the same "
+            "motion, write English words",
+            stacklevel=3,
+        )
+    if partly := [text for text, count, size in strange if 0 < count < size]:
+        warnings.warn(
+            f"{name} doesn't know words or signs in {_of(len(partly), len(texts))}, and reads the rest: "
+            f"{_short(partly[0])}",
+            stacklevel=3,
+        )
+
+
+def _of(count: int, total: int) -> str:
+    return f"{count} of {total} texts"
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:57]}...")
 
 
 def encode_in_chunks(texts: list[str], encode: Callable[[list[str]], tuple[Tensor, Tensor, Tensor]]) -> TextFeatures:

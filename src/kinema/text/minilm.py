@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from kinema.text.files import INSTALL, find_weights, minilm_folder, quiet_loading, require, short_hash
-from kinema.text.frozen import check_texts, encode_in_chunks, standardise
+from kinema.text.frozen import check_texts, encode_in_chunks, standardise, tell_losses
 from kinema.types import TextFeatures
 
 MAX_TOKENS = 256
@@ -52,7 +52,10 @@ class MiniLMTextEncoder:
         return model.eval().requires_grad_(False).to(self.device)
 
     def __call__(self, texts: list[str]) -> TextFeatures:
-        return encode_in_chunks(check_texts(texts), self._encode)
+        texts = check_texts(texts)
+        ids = self.tokenizer(texts, verbose=False)["input_ids"]
+        tell_losses("MiniLM", texts, ids, MAX_TOKENS, self.tokenizer.unk_token_id)
+        return encode_in_chunks(texts, self._encode)
 
     def empty(self) -> TextFeatures:
         """Encode the empty text: start and end alone."""

@@ -59,7 +59,7 @@ def _split(token: str, caption: Caption) -> tuple[str, str]:
 def tag_words(text: str) -> tuple[str, ...]:
     """Make `word/POS` tokens of a caption that has none, as HumanML3D's were made.
 
-    Tagged and lemmatised by spaCy where it and en_core_web_sm are installed; else the bare words with tag OTHER, which
+    Tagged and lemmatised by spaCy where it and en_core_web_sm can be loaded; else the bare words with tag OTHER, which
     is said once per process (their VIP classes still count, but inflected words such as "walks" lose theirs).
     """
     if not text.strip():
@@ -82,9 +82,10 @@ def _tagger() -> Callable[[str], Any] | None:
         import spacy
 
         return spacy.load("en_core_web_sm")
-    except (ImportError, OSError):
+    except Exception as error:  # absent, without its model, or broken: built for another numpy, it raises ValueError
+        reason = "" if isinstance(error, ModuleNotFoundError) else f" (spaCy: {' '.join(str(error).split())[:200]})"
         warnings.warn(
-            "captions without word/POS tokens are split into words without tags; for the published tagging: "
+            f"captions without word/POS tokens are split into words without tags{reason}; for the published tagging: "
             "pip install 'kinema[tag]' && python -m spacy download en_core_web_sm",
             stacklevel=2,
         )

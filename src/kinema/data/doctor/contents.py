@@ -14,6 +14,7 @@ from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
 from kinema.data.doctor.sketch import Sketch
 from kinema.data.leftout import by_kind
+from kinema.data.slips import READABLE, UNREADABLE
 from kinema.motion.checks import MAX_SPEED
 from kinema.motion.geometry import likely_rate
 from kinema.motion.statistics import PUBLISHED_DIVISOR, Statistics
@@ -68,7 +69,7 @@ def left_out(patient: Patient) -> Iterator[Finding]:
     lost = {what: [d for d in patient.dropped if d.what == what] for what in ("missing", "clip", "caption", "entry")}
     told = {
         "missing": ("missing files", "are listed but lack files", "complete the download, or take them off the lists"),
-        "caption": ("unreadable captions", "caption lines cannot be read", "write `caption#tokens#start#end`"),
+        "caption": (UNREADABLE.name, UNREADABLE.message, UNREADABLE.fix),
     }
     for what, (kind, message, fix) in told.items():
         if found := lost[what]:
@@ -113,6 +114,9 @@ def captions(patient: Patient) -> Iterator[Finding]:
             "add texts/NAME.txt, one caption a line",
             bare,
         )
+    for flaw in READABLE:
+        if slips := tuple(str(slip) for slip in patient.slips if slip.flaw is flaw):
+            yield Finding(flaw.severity, flaw.name, f"{len(slips)} {flaw.message}", flaw.fix, slips)
     every = [(patient.names[i], c) for i in range(len(patient)) for c in patient.captions[i]]
     plain = tuple(name for name, c in every if not c.tokens)
     if plain:

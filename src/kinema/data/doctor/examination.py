@@ -13,6 +13,7 @@ from kinema.data.doctor.patient import Patient, from_folder, from_store
 from kinema.data.doctor.sketch import sketch
 from kinema.data.folders import listed_names, stems
 from kinema.data.origin import read_index
+from kinema.data.slips import find_slips
 from kinema.data.store import PackedStore
 from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.recording import read_recording
@@ -39,10 +40,11 @@ def diagnose(
     folder = Path(source) if source is not None else (None if packed else path)
     if source is not None and not any((Path(source) / f"{s}.txt").is_file() for s in SPLITS):
         raise FileNotFoundError(f"source {source} has no train.txt, val.txt or test.txt; pass the corpus folder")
-    findings = list(_lists(folder, prepared=packed)) if folder is not None else []
+    findings: list[Finding] = []
     try:
+        findings += _lists(folder, prepared=packed) if folder is not None else ()
         if packed:
-            patient = from_store(path, read_index(folder) if folder is not None else {})
+            patient = from_store(path, read_index(folder), find_slips(folder)) if folder else from_store(path, {})
         else:
             patient = from_folder(path, convention)
     except (ValueError, FileNotFoundError) as error:

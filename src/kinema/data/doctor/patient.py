@@ -13,6 +13,7 @@ from kinema.data.convert import convert
 from kinema.data.folders import stems
 from kinema.data.origin import Origin
 from kinema.data.packing import cut_entries
+from kinema.data.slips import Slip
 from kinema.data.store import PackedStore
 from kinema.files.arrays import NUMBERS, Wanted, map_npy
 from kinema.motion.convention import AS_IS, Convention
@@ -28,7 +29,8 @@ class Patient:
 
     `rows` gives a clip's full-width features. `known` holds the clip's fields, `origins` the take that it was cut
     from and where, if the corpus says so; `entries` how many entries of a usable length a clip has. `rate` says where
-    the rate of a folder's joints is known from, `convention` what was told of them.
+    the rate of a folder's joints is known from, `convention` what was told of them, `slips` what is wrong with
+    lines of captions, where they can be read.
     """
 
     name: str
@@ -45,12 +47,13 @@ class Patient:
     entries: list[int]
     rate: str = ""
     convention: Convention = AS_IS
+    slips: Sequence[Slip] = ()
 
     def __len__(self) -> int:
         return len(self.names)
 
 
-def from_store(path: Path, index: dict[str, Origin]) -> Patient:
+def from_store(path: Path, index: dict[str, Origin], slips: Sequence[Slip] = ()) -> Patient:
     """See a packed store; what `index` tells of a clip by its unmirrored name comes before what the store does."""
     store = PackedStore.open(path)
     captions: list[list[Caption]] = [[] for _ in range(store.num_clips)]
@@ -71,6 +74,7 @@ def from_store(path: Path, index: dict[str, Origin]) -> Patient:
         statistics=store.statistics,
         origins=[index.get(base) or store.clip_origin(i) for i, base in enumerate(bases)],
         entries=np.bincount(store.entries["clip"], minlength=store.num_clips).tolist(),
+        slips=slips,
     )
 
 
@@ -95,6 +99,7 @@ def from_folder(path: Path, convention: Convention) -> Patient:
         origins=[c.origin and c.origin.ending(len(r) + 1) for c, r in zip(clips, rows, strict=True)],
         entries=entries,
         rate=catalog.rate,
+        slips=catalog.slips,
         convention=convention,
     )
 

@@ -99,6 +99,12 @@ def draw_path(axes: Axes, path: Float[np.ndarray, "t 2"], now: int, camera: Came
     axes.plot(*points[now:, :2].T, color=ACCENT, lw=1.4, zorder=3, alpha=0.5, ls=(0, (1, 2.5)))
 
 
+def write(axes: Axes, x: float, y: float, text: str, **style: Any) -> None:
+    """Write a text as it is at a place in the axes, 0 to 1: no mathematics between dollar signs, `?` for no text."""
+    whole = text.encode("utf-8", errors="replace").decode()  # half a surrogate pair has no glyph and no encoding
+    axes.text(x, y, whole, transform=axes.transAxes, parse_math=False, **style)
+
+
 def _draw_head(axes: Axes, pose: np.ndarray, body: Body, camera: Camera, at: float, limbs: list[float]) -> None:
     from matplotlib.patches import Circle
 

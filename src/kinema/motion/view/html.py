@@ -34,13 +34,14 @@ def page(title: str, body: str, style: str = "", script: str = "") -> str:
 
     With a `script` the document runs this one, and scripts of files beside it, and nothing else.
     """
-    return (
+    document = (
         "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
         f"<meta name='color-scheme' content='light dark'>\n{_policy(script)}"
         f"<title>{escape(title)}</title>\n<style>\n{_asset('theme.css')}{_asset('page.css')}{style}</style>\n</head>\n"
         f"<body>\n{body}\n{f'<script>{script}</script>' if script else ''}\n</body>\n</html>\n"
     )
+    return document.encode("utf-8", errors="replace").decode()  # half a surrogate pair becomes `?`
 
 
 def _policy(script: str) -> str:

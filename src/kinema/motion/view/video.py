@@ -5,13 +5,24 @@ from __future__ import annotations
 import textwrap
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from kinema.atomic import replacing
 from kinema.motion.view.body import Body, body_of, finite_metres
-from kinema.motion.view.draw import INK, MUTED, Camera, draw_grid, draw_path, draw_pose, facing, new_canvas, new_figure
+from kinema.motion.view.draw import (
+    INK,
+    MUTED,
+    Camera,
+    draw_grid,
+    draw_path,
+    draw_pose,
+    facing,
+    new_canvas,
+    new_figure,
+    write,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,8 +82,7 @@ def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
         draw_pose(axes, pose, body, camera, at=place)
         axes.text(place, low * 0.72, f"{frame / motion.fps:.1f} s", ha="center", va="center", color=MUTED, fontsize=8)
     columns = max(20, int(13 * figure.get_size_inches()[0]))
-    caption = textwrap.shorten(motion.text, 2 * columns, placeholder=" ...")
-    axes.text(0.012, 0.965, textwrap.fill(caption, columns), transform=axes.transAxes, va="top", color=INK, fontsize=10)
+    write(axes, 0.012, 0.965, _lines(motion.text, columns, 2 * columns), va="top", color=INK, fontsize=10)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
     return Path(path)
@@ -87,11 +97,13 @@ def _draw_frame(axes: Axes, joints: np.ndarray, frame: int, body: Body, camera: 
 
 
 def _caption(axes: Axes, motion: Motion, frame: int) -> None:
-    text = textwrap.fill(textwrap.shorten(motion.text, 160, placeholder=" ..."), 56)
-    style: dict[str, Any] = {"transform": axes.transAxes, "color": INK, "fontsize": 9.5}
-    axes.text(0.03, 0.97, text, va="top", **style)
+    write(axes, 0.03, 0.97, _lines(motion.text, 56, 160), va="top", color=INK, fontsize=9.5)
     clock = f"{frame / motion.fps:.1f} / {(len(motion.joints) - 1) / motion.fps:.1f} s"
-    axes.text(0.97, 0.03, clock, ha="right", **{**style, "color": MUTED, "fontsize": 8.5})
+    write(axes, 0.97, 0.03, clock, ha="right", color=MUTED, fontsize=8.5)
+
+
+def _lines(text: str, columns: int, most: int) -> str:
+    return textwrap.fill(textwrap.shorten(text, most, placeholder=" ..."), columns)
 
 
 def _bare(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
