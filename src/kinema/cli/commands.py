@@ -30,7 +30,7 @@ from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.report.index import write_site
 from kinema.runs import weights
-from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.folder import RunFolder, read_about
 from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH
 from kinema.runs.versions import versions
@@ -146,7 +146,7 @@ def info(options: argparse.Namespace) -> None:
     meta = weights.read_meta(file)
     parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
-        if found := read_json(path / f"{name}.json"):
+        if found := read_about(path / f"{name}.json", dict):
             parts[name] = found
     print(json.dumps(parts, indent=2))
 

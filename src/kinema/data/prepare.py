@@ -27,7 +27,7 @@ from kinema.data.folders import walk
 from kinema.data.leftout import MAX_UNUSABLE, check_share, told_of
 from kinema.data.origin import index_file
 from kinema.data.packing import StoreWriter
-from kinema.data.store import FORMAT, PackedStore
+from kinema.data.store import FORMAT, PackedStore, read_manifest
 from kinema.locks import hold
 from kinema.motion.skeleton import get_skeleton
 
@@ -220,7 +220,7 @@ def _move(staging: Path, out: Path, content: str) -> None:
 def _request_of(store: Path) -> str | None:
     """Return the request that made a store, None where there is no store."""
     file = store / "manifest.json"
-    return json.loads(file.read_text(encoding="utf-8"))["options"]["request"] if file.is_file() else None
+    return read_manifest(store)["options"]["request"] if file.is_file() else None
 
 
 def _listing(source: str | Path | None) -> str:
