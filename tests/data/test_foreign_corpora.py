@@ -84,7 +84,7 @@ def test_one_bad_clip_is_left_out_and_said(folder, tmp_path, capsys, kind):
     assert dropped["name"] == bad.stem
     said = capsys.readouterr().out
     assert f"left out  1 unusable clips: {bad.stem} (" in said
-    assert "29 entries are left" in said
+    assert f"{store.num_entries} entries are left" in said
     findings = diagnose(folder)
     assert exit_code(findings) == 0
     assert exit_code(findings, strict=True) == 1
@@ -185,10 +185,10 @@ def test_clips_of_another_rate_are_resampled(folder, sound, tmp_path, capsys, fp
     change_all(folder, lambda j: resampled(j, 20.0, fps))
     store = PackedStore.open(prepare_store("joints", folder, tmp_path / "a", name="x", fps=fps, mirror=False))
     assert f"rate      {fps} fps, asked for; entries have 20 fps" in capsys.readouterr().out
-    assert store.num_entries == 30
     plain = PackedStore.open(prepare_store("joints", sound, tmp_path / "a", name="y", mirror=False))
     lengths = [s.clips["frames"].astype(int) for s in (store, plain)]
     assert np.abs(lengths[0] - lengths[1]).max() <= 1
+    assert store.num_entries == plain.num_entries
     assert exit_code(diagnose(folder, convention=Convention(fps=fps)), strict=True) == 0
 
 
@@ -204,7 +204,8 @@ def test_a_manifest_tells_the_rate_of_each_clip(folder, tmp_path, capsys):
     assert {c.name: c.convention.fps for c in catalog if c.name in names} == dict.fromkeys(names, 60.0)
     assert catalog.rate == "20, 60 fps, as manifest.json says"
     store = PackedStore.open(prepare(catalog, tmp_path / "store", name="x", mirror=False))
-    assert store.num_entries == 30
+    assert store.manifest["dropped"]["clip"] == 0
+    assert store.clips["frames"].max() < 200
     (folder / "manifest.json").write_text(json.dumps([{"name": fast[0].stem, "fps": "fast"}]))
     with pytest.raises(ValueError, match=r"manifest\.json: clip .* has fps 'fast'"):
         read_joints_folder(folder)
@@ -219,6 +220,7 @@ def test_a_rate_that_nobody_told_is_guessed(folder):
 
 @pytest.mark.parametrize("frames", [20, 300])
 def test_a_corpus_without_entries_is_an_error_as_folder_and_as_store(folder, tmp_path, capsys, frames):
+    shutil.rmtree(folder / "texts")  # some of its captions are about parts
     change_all(folder, lambda j: np.concatenate([j] * 9)[:frames])
     store = prepare(read_joints_folder(folder), tmp_path / "store", name="x", mirror=False)
     assert "warning   no entry is left in train, val, test" in capsys.readouterr().out

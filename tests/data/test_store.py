@@ -144,7 +144,7 @@ BAD = {
 def test_a_manifest_that_is_wrong_is_named(store, key, value):
     manifest = json.loads((store.path / "manifest.json").read_text())
     (store.path / "manifest.json").write_text(json.dumps(manifest | {key: value}))
-    with pytest.raises(ValueError, match=r"manifest\.json|cat"):
+    with pytest.raises(ValueError, match=r"manifest\.json "):
         PackedStore.open(store.path)
 
 

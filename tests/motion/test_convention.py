@@ -191,6 +191,13 @@ def test_a_rate_is_guessed_from_how_people_move(fps):
     assert likely_rate(float("nan"), 20.0) is None
 
 
+@pytest.mark.parametrize("skeleton", SKELETONS.values(), ids=SKELETONS)
+def test_no_clip_of_ours_is_taken_for_foreign(skeleton):
+    """Some stoop from first to last (seed 2, clip 18)."""
+    for clip in synthetic_clips(size=60, seed=2, skeleton=skeleton.name):
+        assert check_clip(clip.joints(), skeleton, skeleton.fps) == []
+
+
 @pytest.mark.shared
 @pytest.mark.slow
 def test_no_clip_of_open_mocap_is_taken_for_foreign(open_mocap):
@@ -203,7 +210,7 @@ def test_no_clip_of_open_mocap_is_taken_for_foreign(open_mocap):
 @pytest.mark.shared
 @pytest.mark.parametrize(("write", "kind", "fix", "mend"), FOREIGN)
 def test_real_clips_in_another_convention_are_found(open_mocap, write, kind, fix, mend):
-    """People lie down: of 28 clips two may be missed."""
+    """People lie down: of 28 clips one may be missed."""
     clips = [np.load(f).astype(np.float64) for f in sorted((open_mocap / "joints").glob("*.npy"))[::103]]
     found = [{p.kind: p for p in check_clip(write(c, HUMANML3D), HUMANML3D, 20.0)} for c in clips]
-    assert sum(kind in one and fix.strip() in one[kind].fix for one in found) >= len(clips) - 2
+    assert sum(kind in one and fix.strip() in one[kind].fix for one in found) >= len(clips) - 1

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from kinema.atomic import write_json
-from kinema.files.json import read_json
+from kinema.files.json import Each, read_json
 from kinema.files.kinds import DamagedError, refuse
 
 FEATURES = "features.f32"
@@ -74,7 +74,7 @@ def _stamp(folder: Path) -> dict[str, int]:
 
 def _last_stamp(folder: Path) -> dict[str, int] | None:
     try:
-        return read_json(folder / STAMP)
+        return read_json(folder / STAMP, Each(int))
     except (DamagedError, FileNotFoundError):
         return None
 

@@ -16,7 +16,7 @@ from kinema.data.origin import ORIGIN, Origin
 from kinema.files.arrays import Wanted, map_npy
 from kinema.files.json import Each, fault, read_json
 from kinema.files.kinds import refuse
-from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.motion.skeleton import SKELETONS, Skeleton, get_skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import Caption
 
@@ -250,9 +250,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
         )
     manifest = read_json(file, {"format": int}, fix=FIX)
     if manifest["format"] != FORMAT:
-        raise ValueError(f"{path} has store format {manifest['format']}, this version reads {FORMAT}; prepare it again")
+        raise ValueError(f"{file} has store format {manifest['format']}, this version reads {FORMAT}; prepare it again")
     if wrong := fault(manifest, MANIFEST):
         raise refuse(file, wrong, FIX)
+    if manifest["skeleton"] not in SKELETONS:
+        raise refuse(file, f"has the skeleton {manifest['skeleton']!r}, allowed: {', '.join(SKELETONS)}", FIX)
     # It names the folders of what is made of this corpus.
     if not re.fullmatch("[0-9a-f]{12}", manifest["hash"]):
         raise refuse(file, f"has the hash {manifest['hash']!r}, which is not 12 hex digits", FIX)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from kinema.atomic import replacing
-from kinema.files.arrays import read_npz
+from kinema.files.arrays import Wanted, read_npz
 from kinema.files.kinds import DamagedError
 from kinema.runs.console import console
 from kinema.types import Caption, MotionBatch
@@ -48,7 +48,7 @@ class Shelf:
         self._known: dict[str, np.ndarray] = {}
         if path is not None and path.is_file():
             try:
-                self._known = read_npz(path, fix="it is computed anew")
+                self._known = read_npz(path, Wanted("f", (None, None)), fix="it is computed anew")
             except DamagedError as error:
                 console.print(f"[yellow]note[/]      {error!s}")
 
