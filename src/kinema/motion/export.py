@@ -39,8 +39,8 @@ def save(motion: Motion, path: str | Path, changes: Changes | None = None) -> Pa
         return _save_rigged(motion, path, changes or Changes())
     if changes not in (None, Changes()):
         raise ValueError(
-            f"{path.name}: rate, place, facing, loop and axes are changed in {', '.join(RIGGED)}, which hold rotations; "
-            "write one of these, or leave these options out"
+            f"{path.name}: rate, place, facing, loop and axes are changed in {', '.join(RIGGED)}, which hold "
+            "rotations; write one of these, or leave these options out"
         )
     return PLAIN[path.suffix](motion, path)
 
