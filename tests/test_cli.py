@@ -271,7 +271,7 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
         "device 'nothing:0' cannot be used here",
     )
     change = ["edit", "--motion", "none.npz", "--text", "x", "--run", str(run), "--out", "a.npz", "--regenerate"]
-    fails(capsys, [*change, "0:4"], "no such file: none.npz")
+    fails(capsys, [*change, "0:4"], "none.npz is missing")
     fails(capsys, ["import", "mardm-ae", "none.tar", "--out", "runs/b"], "no checkpoint file at none.tar")
     fails(capsys, ["import", "mardm", "mardm.tar", "--out", "runs/b"], "mardm needs --tokenizer RUN")
     again = ["import", "mardm", "mardm.tar", "--out", "runs/b", "--tokenizer", "runs/ae"]

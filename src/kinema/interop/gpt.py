@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 
 from kinema.generators.gpt.model import T2MGPT
-from kinema.interop import token_transformer
 from kinema.interop.checkpoint import count, require, transfer
 from kinema.nn.embeddings import sinusoidal_positions
 
@@ -31,6 +30,9 @@ BLOCK = {
     "mlp.2": "mlp.3",
 }
 CROSS_BLOCK = BLOCK | {"ln3": "norm3"}
+POSITIONS = "trans_base.pos_embedding.weight"
+LATENTS, FURTHER = 49, 2
+"""The published number of latents, and the rows that the table of positions has beside them."""
 
 
 def names(base: int, head: int, cross: int = 0) -> dict[str, str]:
@@ -44,6 +46,12 @@ def names(base: int, head: int, cross: int = 0) -> dict[str, str]:
     for theirs, ours, block in blocks:
         layers |= {f"{theirs}.{part}": f"{ours}.{own}" for part, own in block.items()}
     return MATRICES | {f"{theirs}.{t}": f"{ours}.{t}" for theirs, ours in layers.items() for t in ("weight", "bias")}
+
+
+def latents(state: Mapping[str, Tensor]) -> int:
+    """Return the most latents of a motion by the table of positions, which no forward reads; 49 without one."""
+    table = state.get(POSITIONS)
+    return LATENTS if table is None else len(table) - FURTHER
 
 
 def load(
@@ -78,7 +86,7 @@ def load(
         "dropout": dropout,
         "pkeep": pkeep,
         "words": words,
-        "max_latents": token_transformer.latents(state) if max_latents is None else max_latents,
+        "max_latents": latents(state) if max_latents is None else max_latents,
         "downsample": downsample,
         "sampling": {"_target_": "kinema.generators.gpt.GptSampling", **(sampling or {})},
     }
@@ -93,12 +101,12 @@ def load(
 def export(model: T2MGPT, *, words: int = 77) -> dict[str, Tensor]:
     """Return a model's weights under the published keys, its constants included; half of the blocks are the base's."""
     own, device = model.state_dict(), model.head.weight.device
-    positions = model.space.most + token_transformer.FURTHER
+    positions = model.space.most + FURTHER
     base, cross = len(model.blocks) // 2, len(model.cross_blocks)
     head = len(model.blocks) - base
     state = {theirs: own[ours] for theirs, ours in names(base, head, cross).items()}
     width = model.head.in_features
-    state[token_transformer.POSITIONS] = torch.zeros(positions, width, device=device)
+    state[POSITIONS] = torch.zeros(positions, width, device=device)
     state["trans_base.pos_embed.embed"] = sinusoidal_positions(positions, width, device)[:, None]
     blocks = [f"trans_base.blocks.{i}" for i in range(base)] + [f"trans_head.blocks.{i}" for i in range(head)]
     masks = [(block, positions) for block in blocks]

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from kinema.generators.mmm import MMM, SPECIALS
 from kinema.interop import token_transformer
 from kinema.interop.checkpoint import require, transfer
+from kinema.interop.gpt import FURTHER, latents
 
 TABLE = "trans_base.learn_tok_emb.weight"
 
@@ -43,7 +44,7 @@ def load(
         "dropout": dropout,
         "words": words,
         "pkeep": pkeep,
-        "max_latents": token_transformer.latents(state) if max_latents is None else max_latents,
+        "max_latents": latents(state) if max_latents is None else max_latents,
         "downsample": downsample,
         "sampling": {"_target_": "kinema.generators.mmm.MmmSampling", **(sampling or {})},
     }
@@ -52,4 +53,4 @@ def load(
 
 def export(model: MMM) -> dict[str, Tensor]:
     """Return a model's weights under the published keys; of the tokenizer inside, the codebook alone."""
-    return token_transformer.export(model.transformer, model.max_latents + token_transformer.FURTHER)
+    return token_transformer.export(model.transformer, model.max_latents + FURTHER)

@@ -11,15 +11,12 @@ from torch import Tensor
 
 from kinema.generators.tokens.transformer import TokenTransformer
 from kinema.interop.checkpoint import Rules, count, require
-from kinema.interop.gpt import BLOCK, CROSS_BLOCK
+from kinema.interop.gpt import BLOCK, CROSS_BLOCK, POSITIONS
 from kinema.nn.embeddings import sinusoidal_positions
 
 TOKENIZER = "trans_base.vqvae."
 CODEBOOK = f"{TOKENIZER}vqvae.quantizer.codebook"
 WORDS = 77
-POSITIONS = "trans_base.pos_embedding.weight"
-LATENTS, FURTHER = 49, 2
-"""The published number of latents, and the rows that the table of positions has beside them."""
 
 # Published name -> ours, of layers that hold a weight and a bias.
 LAYERS = {
@@ -64,12 +61,6 @@ def sizes(state: Mapping[str, Tensor], kind: str) -> dict[str, Any]:
         "base_layers": base,
         "head_layers": head,
     }
-
-
-def latents(state: Mapping[str, Tensor]) -> int:
-    """Return the most latents of a motion by the table of positions, which no forward reads; 49 without one."""
-    table = state.get(POSITIONS)
-    return LATENTS if table is None else len(table) - FURTHER
 
 
 def export(transformer: TokenTransformer, positions: int) -> dict[str, Tensor]:

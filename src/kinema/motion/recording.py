@@ -33,7 +33,7 @@ RATES = ("fps", "mocap_framerate", "mocap_frame_rate")
 class Recording:
     """Hold a clip as a file had it, its joints brought to a skeleton's convention; `features` where the file had them.
 
-    `note` says how it was read.
+    `note` says how it was read. `ours`: kinema wrote it, and what was generated may be as odd as it likes.
     """
 
     path: Path
@@ -43,6 +43,7 @@ class Recording:
     convention: Convention
     note: str
     text: str = ""
+    ours: bool = False
 
     def problems(self) -> list[Problem]:
         """Check the joints."""
@@ -57,7 +58,7 @@ class Recording:
         if self.skeleton is not skeleton:
             raise ValueError(f"{self.path} holds {self.skeleton.name}'s motion, {skeleton.name}'s is needed")
         rows = self.features
-        broken = ("shape", "nan", "bone") if rows is not None else None  # what was generated may be as odd as it likes
+        broken = ("shape", "nan", "bone") if self.ours or rows is not None else None
         if fatal := [p for p in self.problems() if p.fatal and (broken is None or p.kind in broken)]:
             raise ValueError(f"{self.path}: {'; '.join(f'{p.message}; fix: {p.fix}' for p in fatal)}")
         if rows is None:
@@ -120,7 +121,7 @@ def _archive(path: Path, told: Convention) -> Recording:
         if told != AS_IS:
             raise ValueError(f"{path} is a motion that kinema wrote: no option changes its convention")
         rows = motion.features if motion.features.shape[1] >= skeleton.essential_width else None
-        return Recording(path, skeleton, motion.joints, rows, told, note, motion.text)
+        return Recording(path, skeleton, motion.joints, rows, told, note, motion.text, ours=True)
     if any(known <= set(names) for known in BODY_PARAMETERS):
         raise ValueError(f"{path} {_body_parameters(path, names)}")
     numbers = read_npz(path, {name: Wanted(f"{NUMBERS}bUS", optional=True) for name in names}, fix=FIX)

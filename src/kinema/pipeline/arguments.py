@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
+from kinema.motion.representation import Representation
 from kinema.options import Count, check_value
 from kinema.text.frozen import check_texts
 from kinema.types import Motion
@@ -63,3 +64,19 @@ def paired(motions: Motion | Sequence[Motion], texts: str | Sequence[str]) -> tu
     if len(motions) != len(texts):
         raise ValueError(f"got {len(motions)} motions and {len(texts)} texts; give one text, or one per motion")
     return motions, texts
+
+
+def check_sources(motions: Sequence[Motion], representation: Representation, maximum: int) -> None:
+    """Refuse motions that a model of this representation can't edit."""
+    skeleton = representation.skeleton
+    for i, motion in enumerate(motions):
+        if motion.skeleton != skeleton.name:
+            raise ValueError(f"motion {i} has the skeleton {motion.skeleton!r}, the model {skeleton.name!r}")
+        if motion.features.shape[1] < representation.width:
+            raise ValueError(
+                f"motion {i} has {motion.features.shape[1]} feature columns, this model ({representation.kind}) "
+                f"needs {representation.width}; extract them from its joints with kinema.motion.features.extract"
+            )
+        if not np.isfinite(motion.features).all():
+            raise ValueError(f"motion {i} holds NaN or infinite features; repair it before editing")
+        check_length(len(motion.features), maximum, skeleton.fps)

@@ -8,7 +8,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import torch
 from jaxtyping import Int
 from torch import Tensor, nn
@@ -21,7 +20,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
-from kinema.pipeline.arguments import batches, check_length, frame_counts, paired
+from kinema.pipeline.arguments import batches, check_sources, frame_counts, paired
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.editing import (
@@ -231,7 +230,7 @@ class TextToMotion:
         """
         motions, texts = paired(motions, texts)
         options = self.changed_sampling(sampling)
-        self._check_sources(motions)
+        check_sources(motions, self.tokenizer.representation, self.max_frames)
         if frames is None and parts is None:
             raise ValueError(f"nothing to regenerate: give frames, or parts= one of {', '.join(PARTS)}")
         if parts is not None:
@@ -301,20 +300,6 @@ class TextToMotion:
         least = self.generator.space.whole(1)
         estimator = cast(LengthEstimator, self.parts[LENGTH])
         return estimator.predict(text.to(self.device), seeds).cpu().clamp(least, self.max_frames)
-
-    def _check_sources(self, motions: list[Motion]) -> None:
-        representation = self.tokenizer.representation
-        for i, motion in enumerate(motions):
-            if motion.skeleton != self.skeleton.name:
-                raise ValueError(f"motion {i} has the skeleton {motion.skeleton!r}, the model {self.skeleton.name!r}")
-            if motion.features.shape[1] < representation.width:
-                raise ValueError(
-                    f"motion {i} has {motion.features.shape[1]} feature columns, this model ({representation.kind}) "
-                    f"needs {representation.width}; extract them from its joints with kinema.motion.features.extract"
-                )
-            if not np.isfinite(motion.features).all():
-                raise ValueError(f"motion {i} holds NaN or infinite features; repair it before editing")
-            check_length(len(motion.features), self.max_frames, self.skeleton.fps)
 
     def _modules(self) -> list[nn.Module]:
         return [self.tokenizer, self.generator, *self.parts.values()]

@@ -218,13 +218,14 @@ class ResidualTransformer(LatentModel):
         """Return the mask of the kept positions and the codes they have."""
         if known is None:
             return torch.zeros(codes.shape[:2], dtype=torch.bool, device=codes.device), codes
-        filled, nothing, own = known.latents, None, known.latents.codes
-        if own is not None:
-            nothing = (own == NOTHING) & (torch.arange(own.shape[-1], device=own.device) > 0)
-            filled = replace(filled, codes=own.masked_fill(nothing, 0))
-        given = check_codes(filled, self.space, known.mask.shape[1])
+        source, nothing = known.latents, None
+        if source.codes is not None:  # a layer that adds nothing is read as PAD, and drawn again as that
+            layers = torch.arange(source.codes.shape[-1], device=source.codes.device)
+            nothing = (source.codes == NOTHING) & (layers > 0) & source.mask[..., None]
+            source = replace(source, codes=source.codes.masked_fill(nothing, 0))
+        given = check_codes(source, self.space, known.mask.shape[1])
         if nothing is not None:
-            given = given.masked_fill(nothing[..., : self.quantizers] & filled.mask[..., None], self.codebook_size)
+            given = given.masked_fill(nothing[..., : self.quantizers], self.codebook_size)
         positions = codes.shape[1]
         return known.mask[:, :positions].to(codes.device), given[:, :positions].to(codes.device)
 

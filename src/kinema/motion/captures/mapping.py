@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from yaml import safe_load  # type: ignore[import-untyped]
+from yaml import safe_load
 
 from kinema.files.yaml import read_yaml
 from kinema.motion.skeleton import HUMANML3D, Skeleton
