@@ -103,7 +103,7 @@ def needing_room(path: str | Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT) or error.strerror != os.strerror(error.errno):
             raise
-        told = f"no room left to write {path}; free some disk space or choose another folder, and run it again"
+        told = f"{error.strerror}: {path} is not written; free disk space or choose another folder, and run again"
         raise OSError(error.errno, told) from error
 
 
