@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 BATCH = 64
 DIMS = ("redundant", "essential")
 CONFIG = {
-    "tokenizer": {"name": str},
+    TOKENIZER: {"name": str},
     "seed": int,
     "scale": {"name": str},
     "data": {"name": str, "reader": str, "skeleton": str, "options": dict},
