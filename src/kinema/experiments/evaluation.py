@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.atomic import write_text
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import check_logger, show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
@@ -165,6 +165,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     _check_judges(cfg, row)
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
+    require_pool(cfg, store)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
     for stage in found:
