@@ -122,6 +122,23 @@ def test_a_split_smaller_than_a_batch_is_named(store):
         next(module(store).test_batches("test", 0, 0, leftover="pad"))
 
 
+@pytest.mark.parametrize(("asked", "filled"), [(1, 1), (8, 8), (24, 24), (25, 24), (64, 24), (256, 24)])
+def test_a_batch_is_all_of_a_split_that_has_fewer_items(store, asked, filled):
+    """24 training entries with their mirrored ones; a split as large as a batch or larger is served as ever."""
+    data = module(store, batch_size=asked, steps=3)
+    batches = list(data.train_dataloader())
+    assert [len(batch.lengths) for batch in batches] == [filled] * 3 == [data.filled()] * 3
+    if asked > filled:
+        assert all(len(set(batch.entries.tolist())) == 24 for batch in batches)
+
+
+@pytest.mark.parametrize(
+    ("asked", "world", "filled"), [(64, 2, 24), (64, 5, 20), (64, 7, 21), (20, 5, 20), (64, 24, 24)]
+)
+def test_a_smaller_batch_can_be_shared_by_ranks(store, asked, world, filled):
+    assert module(store, batch_size=asked).filled(world) == filled
+
+
 def test_clips_of_a_corpus_without_captions_fail_before_training(joints_corpus, tmp_path):
     path = prepare_store("joints", joints_corpus({"a": ("train", 80, None)}), tmp_path / "o", name="mute")
     with pytest.raises(ValueError, match="no captions"):

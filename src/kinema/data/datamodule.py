@@ -30,9 +30,10 @@ class MotionDataModule(L.LightningDataModule):
     are the models'.
 
     Training is counted in steps: the training loader has `steps` batches of `batch_size` (all ranks together), a pure
-    function of `seed`, and goes on where the trainer stands. Train with `Trainer(max_steps=steps, ...)`, and under DDP
-    with `use_distributed_sampler=False`, since ranks take their share here. `val_limit` bounds the validation items
-    (spread evenly). `legacy_windows` is the published item space of windows.
+    function of `seed`, and goes on where the trainer stands; a split of fewer items is one batch. Train with
+    `Trainer(max_steps=steps, ...)`, and under DDP with `use_distributed_sampler=False`, since ranks take their share
+    here. `val_limit` bounds the validation items (spread evenly). `legacy_windows` is the published item space of
+    windows.
     """
 
     def __init__(
@@ -82,8 +83,14 @@ class MotionDataModule(L.LightningDataModule):
             rank, world = self.trainer.global_rank, self.trainer.world_size
             start = self.trainer.global_step * self.trainer.accumulate_grad_batches
             _refuse_second_sharding(self.trainer)
-        sampler = StepSampler(len(dataset), self.batch_size, self.seed, self.steps, start, rank, world)
+        size = self.filled(world)
+        sampler = StepSampler(len(dataset), size, self.seed, self.steps, start, rank, world)
         return self._loader(dataset, sampler)
+
+    def filled(self, world: int = 1) -> int:
+        """Return the batch size in use: the one asked for, or of fewer items all (what ranks can share evenly)."""
+        items = len(self.dataset("train"))
+        return self.batch_size if items >= self.batch_size else max(1, items // world) * world
 
     def val_dataloader(self) -> DataLoader[Item]:
         """Return the validation batches: the same items, crops and captions every time.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from kinema.data.datasets import ClipDataset
+from kinema.data.datasets import ClipDataset, WindowDataset
 from kinema.data.prepare import prepare_store
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
@@ -45,3 +45,22 @@ def require_captions(store: PackedStore, *splits: str) -> None:
     """Check that the splits have captioned clips of a usable length, before hours are spent on what comes first."""
     for split in splits:
         ClipDataset(store, split)
+
+
+def require_windows(store: PackedStore, window: int, legacy: bool, *splits: str) -> None:
+    """Check that the splits have clips as long as a window."""
+    for split in splits:
+        WindowDataset(store, split, window, legacy=legacy)
+
+
+def require_pool(cfg: DictConfig, store: PackedStore) -> None:
+    """Check that the split that is scored has a whole pool, before hours are spent on what is to be scored."""
+    numbers = cfg.scale.protocol
+    entries = len(ClipDataset(store, numbers.split))
+    if numbers.leftover == "drop" and entries < numbers.pool:
+        smaller = f"scale.protocol.pool={entries} or less" if entries > 1 else "take a split of more"
+        raise ValueError(
+            f"split {numbers.split!r} of {store.name!r} has {entries} entries, fewer than a pool of {numbers.pool}: "
+            f"set scale.protocol.leftover=keep to score them as one smaller pool, or {smaller}; R-precision in another "
+            "pool is not comparable with published numbers"
+        )

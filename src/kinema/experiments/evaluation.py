@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.atomic import write_text
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, validate
-from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.replications import REPLICATIONS, scored_lines
@@ -190,6 +190,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
         build(plain(cfg.generator.sampling), at="generator.sampling")
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
+    require_pool(cfg, store)
     _check_reads(cfg)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]

@@ -27,6 +27,7 @@ from kinema.options import Count, OneOf, Options, check, make
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs import weights
 from kinema.runs.build import build
+from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.seeds import training_seed
 from kinema.training.fit import fit
@@ -73,6 +74,9 @@ def make_model(
         legacy_windows=recipe.legacy_windows,
         dims=stage.dims(cfg),
     )
+    if (size := data.filled()) < recipe.batch_size and global_rank() == 0:
+        asked = f"{stage.node}.train.batch_size={recipe.batch_size}"
+        console.print(f"[yellow]note[/]      {asked}, but the train split has {size} {train['data']}: a batch is all")
     with training_dashboards(cfg, folder.path, stage.name) as dashboards:
         record = Record(folder.path, dashboards)
         callbacks = stage.callbacks(cfg, module, store, needs, record)

@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
-from kinema.experiments.corpus import require_captions
+from kinema.experiments.corpus import require_captions, require_windows
 from kinema.experiments.stages.base import Stage, Summary
 from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
@@ -76,6 +76,8 @@ class FittedStage(Stage):
         train = self.config(cfg).get("train")
         if train and train.data == "clips":
             require_captions(store, "train", "val")
+        elif train:
+            require_windows(store, train.get("window", 64), train.get("legacy_windows", False), "train", "val")
 
     def module(
         self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
