@@ -22,7 +22,8 @@ from kinema.experiments.config import CONF, compose, plain, validate
 from kinema.experiments.groups import GROUPS
 from kinema.experiments.stages import judges
 from kinema.experiments.training import Budget, make_recipe
-from kinema.runs.build import build, locate
+from kinema.registry import find_class
+from kinema.runs.build import build
 from kinema.training.recipe import Recipe
 
 WRONG: dict[str, Any] = {
@@ -97,7 +98,7 @@ def ask(key: str, kind: str, standing: Any, make: Callable[..., Any], *arguments
 
 def try_all(spec: dict[str, Any]) -> None:
     """Try every argument of the class that a spec names, those too that the spec leaves out."""
-    for name, parameter in inspect.signature(locate(spec["_target_"])).parameters.items():
+    for name, parameter in inspect.signature(find_class(spec["_target_"])).parameters.items():
         standing = spec.get(name, parameter.default)
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
