@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import stat
+import subprocess
+import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from kinema.atomic import new_folder, replacing, staging_folder, write_json, write_text
+from kinema.atomic import ABANDONED, _machine, new_folder, replacing, staging_folder, write_json, write_text
 
 
 def test_a_file_takes_its_place_at_the_end(tmp_path):
@@ -98,3 +102,57 @@ def test_writers_of_one_file_do_not_disturb_each_other(tmp_path):
         list(pool.map(lambda i: write_json(tmp_path / "a.json", {"a": [i] * 1000}), range(64)))
     assert len(set(json.loads((tmp_path / "a.json").read_text())["a"])) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+KILLED = """
+import os, signal, sys
+from kinema.atomic import new_folder, replacing
+places = [replacing(sys.argv[1] + "/a.bin"), new_folder(sys.argv[1] + "/run")]
+for place in places:
+    temporary = place.__enter__()
+    (temporary / "half" if temporary.is_dir() else temporary).write_text("half")
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are seen in /proc")
+def test_what_a_killed_process_left_is_removed_by_the_next_that_writes_there(tmp_path):
+    assert subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)]).returncode == -9
+    assert len(list(tmp_path.iterdir())) == 2
+    (tmp_path / ".a-other.bin").touch()
+    write_text(tmp_path / "a.bin", "x")
+    with new_folder(tmp_path / "run"):
+        pass
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".a-other.bin", "a.bin", "run"]
+
+
+@pytest.mark.parametrize("who", ["0badcafe-77-", ""], ids=["another machine's", "of before"])
+def test_what_may_be_written_still_stays(tmp_path, who):
+    own, old, new = (
+        tmp_path / f".a-{name}.txt"
+        for name in (f"{_machine()}-{os.getpid()}-{8 * 'a'}", f"{who}{8 * 'b'}", f"{who}{8 * 'c'}")
+    )
+    for path in (own, old, new):
+        path.touch()
+    past = time.time() - ABANDONED - 60
+    for path in (own, old):
+        os.utime(path, (past, past))
+    write_text(tmp_path / "a.txt", "x")
+    assert sorted(tmp_path.iterdir()) == sorted([own, new, tmp_path / "a.txt"])
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+@pytest.mark.parametrize("place", [replacing, new_folder, staging_folder])
+def test_a_full_disk_names_the_file_and_the_fix(tmp_path, code, place):
+    def full(_):
+        raise OSError(code, os.strerror(code))
+
+    def told(_):
+        raise OSError(code, "it needs 4 GB")
+
+    with pytest.raises(OSError, match=r"no room left to write .*a\.bin; free some disk space") as caught:
+        fail_within(place(tmp_path / "a.bin"), full)
+    assert caught.value.errno == code
+    with pytest.raises(OSError, match="it needs 4 GB"):
+        fail_within(place(tmp_path / "a.bin"), told)
+    assert not list(tmp_path.iterdir())

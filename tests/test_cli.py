@@ -15,7 +15,7 @@ import torch
 from kinema import __version__, cli, interop
 from kinema.motion import body_parts
 from kinema.motion.formats.arrays import load_npy, load_npz, save_npz
-from kinema.motion.recording import read_motion
+from kinema.motion.recording import read_recording
 from kinema.motion.skeleton import HUMANML3D
 from kinema.runs.folder import RunFolder
 
@@ -181,7 +181,7 @@ def test_a_motion_with_narrower_rows_has_as_many_frames_and_stays_in_its_place(t
     rows = np.zeros((40, width), np.float32)
     rows[:, : min(width, 67)] = walk.features[:, : min(width, 67)]
     save_npz(replace(walk, features=rows, joints=walk.joints + np.float32([5, 0, 1])), "moved.npz")
-    read, _ = read_motion("moved.npz", HUMANML3D, 263)
+    read = read_recording("moved.npz").motion(HUMANML3D, 263)
     assert read.features.shape == (40, 263)
     assert np.array_equal(read.joints, walk.joints + np.float32([5, 0, 1]))
     if width >= 67:

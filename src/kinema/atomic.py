@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import errno
+import functools
+import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
+import socket
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+ABANDONED = 24 * 3600
+"""Seconds after which a temporary file that nobody touches is a killed process' (of one on this machine: at once)."""
+
+_LEFT = r"-(?:(?P<machine>[0-9a-f]{8})-(?P<process>\d+)-)?[0-9a-f]{8}"
 
 
 @contextmanager
@@ -17,37 +28,42 @@ def replacing(path: str | Path, *, sole: bool = False, sync: bool = False) -> It
     """Yield a temporary name beside `path`; the file written there takes its place on success, and vanishes on failure.
 
     Parent folders are made. The temporary name keeps the suffix, since encoders choose their format by it. `sole`: no
-    other process writes this file, and what a killed one left is overwritten. `sync`: it is on disk before the rename.
+    other process writes this file, and what a killed one left is overwritten; without it, what dead processes left is
+    removed. `sync`: it is on disk before the rename. Raises OSError naming the file and the fix if the disk is full.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}-{_tag(sole)}{path.suffix}")
-    try:
-        yield temporary
-        if sync:
-            with temporary.open("r+b") as file:
-                os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with needing_room(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_left(path.parent, path.stem, path.suffix)
+        temporary = path.with_name(f".{path.stem}-{_tag(sole)}{path.suffix}")
+        try:
+            yield temporary
+            if sync:
+                with temporary.open("r+b") as file:
+                    os.fsync(file.fileno())
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def staging_folder(path: str | Path, *, sole: bool = False) -> Iterator[Path]:
     """Yield an empty folder beside `path`, to be renamed to it; it is gone afterwards if nothing renamed it.
 
-    `sole` as for files: what a killed process left is thrown away.
+    `sole`, what killed processes left, and a full disk as for files.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    staging = path.with_name(f".{path.name}-{_tag(sole)}")
-    if sole:
-        shutil.rmtree(staging, ignore_errors=True)
-    staging.mkdir()
-    try:
-        yield staging
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+    with needing_room(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_left(path.parent, path.name)
+        staging = path.with_name(f".{path.name}-{_tag(sole)}")
+        if sole:
+            shutil.rmtree(staging, ignore_errors=True)
+        staging.mkdir()
+        try:
+            yield staging
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
 
 
 @contextmanager
@@ -76,6 +92,51 @@ def write_json(path: str | Path, value: Any) -> Path:
     return write_text(path, json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
+@contextmanager
+def needing_room(path: str | Path) -> Iterator[None]:
+    """Name what could not be written, and the fix, where the system says no more than that the disk is full."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT) or error.strerror != os.strerror(error.errno):
+            raise
+        told = f"no room left to write {path}; free some disk space or choose another folder, and run it again"
+        raise OSError(error.errno, told) from error
+
+
 def _tag(sole: bool) -> str:
-    """Tell the temporary names of several writers apart."""
-    return "partial" if sole else secrets.token_hex(4)
+    """Tell the temporary names of several writers apart, and who they are."""
+    return "partial" if sole else f"{_machine()}-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+def _remove_left(folder: Path, name: str, suffix: str = "") -> None:
+    """Remove what killed processes left of a file or folder that is about to be written."""
+    pattern = re.compile(re.escape(f".{name}") + _LEFT + re.escape(suffix))
+    for found in os.listdir(folder):
+        match = pattern.fullmatch(found)
+        if match is None or not _is_left(folder / found, match["machine"], match["process"]):
+            continue
+        if (folder / found).is_dir():
+            shutil.rmtree(folder / found, ignore_errors=True)
+        else:
+            (folder / found).unlink(missing_ok=True)
+
+
+def _is_left(path: Path, machine: str | None, process: str | None) -> bool:
+    if machine == _machine() and Path("/proc/self").exists():
+        return not Path(f"/proc/{process}").exists()
+    try:
+        return time.time() - path.stat().st_mtime > ABANDONED
+    except FileNotFoundError:  # its writer was just done
+        return False
+
+
+@functools.cache
+def _machine() -> str:
+    """Name this machine and what counts its processes: a container has numbers of its own."""
+    known = [socket.gethostname()]
+    for place in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):
+        path = Path(place)
+        if path.exists():
+            known.append(os.readlink(path) if path.is_symlink() else path.read_text())
+    return hashlib.sha256("\n".join(known).encode()).hexdigest()[:8]

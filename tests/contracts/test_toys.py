@@ -177,6 +177,22 @@ def test_latents_without_time_are_cached_like_others(workshop, representation, t
     assert found.frames.tolist() == [frames]
 
 
+@pytest.mark.parametrize("name", ["values.npy", "keys.npy", "offsets.npy", "meta.json"])
+def test_latents_that_are_damaged_are_made_again(workshop, representation, tmp_path, name, capsys):
+    clips, folder = [ClipDataset(workshop.store, "val")], tmp_path / "latents"
+    latent_source(folder, Summary(representation), clips, "cpu")
+    good = (folder / name).read_bytes()
+    for damaged in (good[:-3], b"", None):
+        if damaged is None:
+            (folder / name).unlink()
+        else:
+            (folder / name).write_bytes(damaged)
+        latent_source(folder, Summary(representation), clips, "cpu")
+        assert (folder / name).read_bytes() == good
+        assert f"{name} " in capsys.readouterr().out
+    assert [p.name for p in tmp_path.iterdir()] == ["latents"]
+
+
 def test_a_posterior_s_moments_are_cached_and_drawn_from(workshop, tmp_path):
     """MLD's latents: every step draws anew, as encoding anew would, and no step runs the encoder."""
     tokenizer, clips, batch = workshop.tokenizer("method=mld"), [ClipDataset(workshop.store, "train")], workshop.clips()

@@ -20,10 +20,10 @@ def drifting_body(frames: int, skeleton: str = "humanml3d", seed: int = 0) -> np
     """Make joints (frames, J, 3) of a body that drifts ahead and wobbles smoothly."""
     body, draw = get_skeleton(skeleton), np.random.default_rng(seed)
     lengths = np.full(body.num_joints, 100.0) if body.bone_lengths is None else body.bone_lengths
-    pose = np.zeros((body.num_joints, 3))
+    pose, sides = np.zeros((body.num_joints, 3)), (1 if body.unit == "m" else -1, 1, 1)  # KIT's rest is a mirror image
     for chain in body.chains:
         for parent, child in pairwise(chain):
-            pose[child] = pose[parent] + lengths[child] * body.rest_directions[child]
+            pose[child] = pose[parent] + lengths[child] * body.rest_directions[child] * sides
     time = np.arange(frames)[:, None, None] / 20
     size = lengths[1:].mean()
     wobble = np.sin(time * draw.uniform(1, 4, pose.shape) + draw.uniform(0, 6, pose.shape)) * size * 0.1

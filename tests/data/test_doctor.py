@@ -201,7 +201,7 @@ DEFECTS = [
     (swap_texts_only, "sides in tokens", "error"),
     (jump, "jumps", "warning"),
     (measure_in_centimetres, "unit", "error"),
-    (empty_a_split, "empty split", "warning"),
+    (empty_a_split, "empty split", "error"),
 ]
 
 

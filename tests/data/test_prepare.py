@@ -77,7 +77,11 @@ def test_unusable_clips_are_left_out_with_the_reason(joints_corpus, tmp_path):
     (root / "joints" / "cut.npy").write_bytes((root / "joints" / "cut.npy").read_bytes()[:500])
     np.save(root / "joints" / "one.npy", broken[:1])
     np.save(root / "joints" / "pickled.npy", np.array([{"code": 1}]), allow_pickle=True)
-    store = PackedStore.open(prepare_store("joints", root, tmp_path / "out", name="x"))
+    with pytest.raises(
+        ValueError, match=r"5 of 6 clips are unusable, more than the allowed share 0\.2.*raise max_unusable"
+    ):
+        prepare_store("joints", root, tmp_path / "out", name="x")
+    store = PackedStore.open(prepare_store("joints", root, tmp_path / "out", name="x", max_unusable=0.9))
     assert {store.clip_name(c) for c in range(store.num_clips)} == {"good", "Mgood"}
     reasons = {d["name"]: d["reason"] for d in store.dropped}
     assert reasons.keys() == {"nan", "bone", "cut", "one", "pickled"}
@@ -93,7 +97,7 @@ def test_nan_in_official_features_is_left_out_of_the_statistics(official_corpus,
     features = np.load(root / "new_joint_vecs" / "a.npy")
     features[3, 100] = np.inf
     np.save(root / "new_joint_vecs" / "a.npy", features)
-    store = PackedStore.open(prepare_store("official", root, tmp_path / "out", name="x"))
+    store = PackedStore.open(prepare_store("official", root, tmp_path / "out", name="x", max_unusable=0.5))
     assert np.isfinite(store.statistics.mean).all()
     assert "in 1 frames, first 3" in store.dropped[0]["reason"]
 
@@ -127,7 +131,7 @@ def test_folder_statistics_are_used_and_compared(official_corpus, tmp_path):
 def test_wrong_width_is_refused_and_named(official_corpus, tmp_path, width):
     root = official_corpus({"a": ("train", 50)})
     np.save(root / "new_joint_vecs" / "a.npy", np.zeros((50, width), np.float32))
-    with pytest.raises(ValueError, match=rf"'a' has .* shape \(50, {width}\); humanml3d needs \(frames, 263\)"):
+    with pytest.raises(ValueError, match=rf"'a': .* shape \(50, {width}\); humanml3d needs \(frames, 263\)"):
         prepare_store("official", root, tmp_path / "o", name="x")
     assert not [p for p in (tmp_path / "o").iterdir() if p.is_dir()]
 
@@ -209,7 +213,7 @@ def test_remains_of_a_killed_process_are_replaced(joints_corpus, tmp_path):
     catalog = read_joints_folder(joints_corpus({"a": ("train", 50)}))
     (tmp_path / ".out-partial").mkdir()
     (tmp_path / ".out-partial" / "features.f32").write_bytes(b"half")
-    assert PackedStore.open(prepare(catalog, tmp_path / "out", name="x")).verify() == []
+    PackedStore.open(prepare(catalog, tmp_path / "out", name="x")).verify()
     assert not (tmp_path / ".out-partial").exists()
 
 

@@ -19,7 +19,7 @@ from kinema.motion.formats.arrays import load_npz
 from kinema.pipeline import TextToMotion
 from kinema.runs import weights
 from kinema.runs.build import build
-from kinema.runs.folder import read_json
+from kinema.runs.folder import read_about
 
 GOLDEN = {
     # name: kind, golden file, prefix of its state dict, wrapper of the published file
@@ -80,7 +80,7 @@ def golden_import(golden_file, tmp_path, monkeypatch, make_clip):
 def test_published_files_become_a_run_that_generates(golden_import, name):
     links = [word for part, of in CHAINS[name].items() for word in (f"--{part}", golden_import(of))]
     run = golden_import(name, *links, *(["--set", "words=all"] if name in READS_WORDS else []))
-    assert read_json(Path(run) / "upstream.json") == {part: f"../{of}" for part, of in CHAINS[name].items()}
+    assert read_about(Path(run) / "upstream.json", dict) == {part: f"../{of}" for part, of in CHAINS[name].items()}
     make = ["generate", "a man walks", "a man sits", "--run", run, "--seed", "3", "--device", "cpu"]
     assert cli.main([*make, "--frames", "41", "--out", "walk.npz"]) == 0
     walk, sit = (load_npz(f"walk-{i}.npz") for i in (1, 2))
@@ -106,7 +106,7 @@ def test_a_residual_transformer_completes_the_codes(golden_import):
     alone = TextToMotion.from_run(golden_import("momask", *links), "cpu")
     both = TextToMotion.from_run(golden_import("bamm", *links, "--residual", residual), "cpu")
     assert (alone.generator.space.quantizers, both.generator.space.quantizers) == (1, 4)
-    assert read_json(Path(residual) / "text.json")["encoder"] == "clip_b32"
+    assert read_about(Path(residual) / "text.json", dict)["encoder"] == "clip_b32"
 
 
 @pytest.mark.parametrize("name", ["t2m-gpt-vq", "attt2m-vq", "mmm-vq", "momask-rvq"])
@@ -185,10 +185,10 @@ def test_trained_and_imported_parts_go_together(parts):
     assert cli.main([*start, *LINK, "--out", "runs/imported", "--text", "hashed"]) == 0
     links = [*LINK, "--residual", "runs/imported", "--length", "runs/length"]
     assert cli.main([*IMPORT, *links, "--text", "minilm", "--text-path", "somewhere"]) == 0
-    assert read_json(Path("runs/new/upstream.json")).keys() == {"tokenizer", "residual", "length"}
-    assert read_json(Path("runs/new/text.json")) == {"encoder": "minilm", "path": "somewhere"}
-    assert read_json(Path("runs/imported/text.json")) == {"encoder": "hashed", "path": None}
-    assert not read_json(Path("runs/rvq/text.json"))
+    assert read_about(Path("runs/new/upstream.json"), dict).keys() == {"tokenizer", "residual", "length"}
+    assert read_about(Path("runs/new/text.json"), dict) == {"encoder": "minilm", "path": "somewhere"}
+    assert read_about(Path("runs/imported/text.json"), dict) == {"encoder": "hashed", "path": None}
+    assert not read_about(Path("runs/rvq/text.json"), dict)
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_wrong_content_is_named(motion, tmp_path):
     with pytest.raises(ValueError, match=r"\(frames, joints, 3\); it holds float64 \(5, 66\)"):
         load_npy(tmp_path / "flat.npy")
     np.savez(tmp_path / "part.npz", joints=motion.joints)
-    with pytest.raises(ValueError, match="lacks features, fps, skeleton, text"):
+    with pytest.raises(ValueError, match="holds no features, text, fps, skeleton"):
         load_npz(tmp_path / "part.npz")
     with pytest.raises(FileNotFoundError, match=r"gone\.npy"):
         load_npy(tmp_path / "gone.npy")

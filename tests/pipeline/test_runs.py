@@ -65,7 +65,7 @@ def test_damaged_and_foreign_files_are_named(parts, tmp_path):
     for kept in (0, 5, 100, len(whole) - 1):
         file.write_bytes(whole[:kept])
         for read in (weights.load, weights.read_meta):
-            with pytest.raises(ValueError, match=r"weights\.safetensors cannot be read"):
+            with pytest.raises(ValueError, match=r"weights\.safetensors (cannot be read|is empty)"):
                 read(file)
     save_file({"a": torch.zeros(1)}, file)
     with pytest.raises(ValueError, match=r"was not written by kinema.*kinema import"):

@@ -22,7 +22,7 @@ from kinema.experiments.corpus import open_corpus
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
 from kinema.motion.convention import Convention
-from kinema.motion.recording import read_motion
+from kinema.motion.recording import read_recording
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
@@ -30,7 +30,7 @@ from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.report.index import write_site
 from kinema.runs import weights
-from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.folder import RunFolder, read_about
 from kinema.runs.latest import find_run
 from kinema.runs.parts import LENGTH
 from kinema.runs.versions import versions
@@ -58,8 +58,9 @@ def edit(options: argparse.Namespace) -> None:
     if given is None and options.parts is None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
-    told = _convention(options)
-    motion = read_motion(options.motion, model.skeleton, model.tokenizer.representation.width, told)
+    recording = read_recording(options.motion, _convention(options))
+    motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
+    print(f"read {recording.path}: {recording.note}")
     frames = None
     if given is not None:
         size = len(motion.features)
@@ -145,7 +146,7 @@ def info(options: argparse.Namespace) -> None:
     meta = weights.read_meta(file)
     parts = {"weights": f"{file} ({file.stat().st_size / 1e6:.1f} MB)", "artifact": meta}
     for name in ("status", "upstream", "text") if path.is_dir() else ():
-        if found := read_json(path / f"{name}.json"):
+        if found := read_about(path / f"{name}.json", dict):
             parts[name] = found
     print(json.dumps(parts, indent=2))
 

@@ -95,10 +95,10 @@ def read_joints_folder(
     split: str | None = None,
     *,
     up: str | None = None,
-    handed: Literal["left", "right"] | None = None,
-    scale: float | None = None,
+    handed: str | None = None,
+    scale: Any = None,
     order: str | None = None,
-    fps: float | None = None,
+    fps: Any = None,
 ) -> Catalog:
     """Read `joints/NAME.npy` (T, J, 3), `texts/NAME.txt` and the split files: the layout of open-mocap.
 
@@ -167,7 +167,7 @@ def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], spl
         captions, wrong = ([], []) if texts is None else read_captions(root, f"texts/{name}.txt")
         slips += wrong
         dropped += [Dropped(name, split, "caption", str(slip)) for slip in wrong if slip.flaw is UNREADABLE]
-        load = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
+        load: dict[str, Any] = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
         mirrored = name.startswith("M") and name[1:] in listed
         base, fields = name[1:] if mirrored else name, known.get(name, {})
         named = kind == "joints" and not any(fields.get(field) for field in SOURCE_FIELDS)

@@ -9,6 +9,7 @@ from typing import Any
 
 from kinema.data.catalog import SPLITS, Catalog, Dropped
 from kinema.data.slips import READABLE
+from kinema.motion.skeleton import get_skeleton
 
 MAX_UNUSABLE = 0.2
 """Share of a corpus' clips that may be unusable: above it the corpus is another than it was taken for."""
@@ -43,7 +44,7 @@ def by_kind(dropped: Sequence[Dropped]) -> dict[str, list[Dropped]]:
 def told_of(catalog: Catalog, dropped: Sequence[Dropped], manifest: dict[str, Any], out: Path) -> Iterator[str]:
     """Write for people how a corpus was read and what it was left without; nothing where there is nothing to say."""
     if catalog.rate:
-        yield f"rate      {catalog.rate}"
+        yield f"rate      {catalog.rate}; entries have {get_skeleton(manifest['skeleton']).fps:g} fps"
     for flaw in READABLE:
         if slips := [str(slip) for slip in catalog.slips if slip.flaw is flaw]:
             shown = f"{'; '.join(slips[:SHOWN])}{'; ...' if len(slips) > SHOWN else ''}"

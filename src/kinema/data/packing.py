@@ -14,8 +14,9 @@ import numpy as np
 
 from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Clip, Dropped
+from kinema.data.integrity import checksum, write_stamp
 from kinema.data.origin import Origin, tabulate
-from kinema.data.store import CAPTION, CLIP, ENTRY, FORMAT, checksum
+from kinema.data.store import CAPTION, CLIP, ENTRY, FORMAT
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import Caption
@@ -110,6 +111,7 @@ class StoreWriter:
             "checksums": checksums,
         }
         _dump(self.folder / "manifest.json", manifest)
+        write_stamp(self.folder)
         return manifest
 
     def bytes_per_clip(self) -> float:

@@ -27,7 +27,7 @@ from kinema.data.folders import walk
 from kinema.data.leftout import MAX_UNUSABLE, check_share, told_of
 from kinema.data.origin import index_file
 from kinema.data.packing import StoreWriter
-from kinema.data.store import FORMAT, PackedStore
+from kinema.data.store import FORMAT, PackedStore, read_manifest
 from kinema.locks import hold
 from kinema.motion.skeleton import get_skeleton
 
@@ -78,8 +78,8 @@ def prepare_store(
     if _request_of(out) == request:
         return out
     catalog = read_corpus(reader, source, **reader_options)
-    shares = {"max_missing": max_missing, "max_unusable": max_unusable}
-    return prepare(catalog, out, **options, **shares, processes=processes, request=request)
+    options |= {"max_missing": max_missing, "max_unusable": max_unusable}
+    return prepare(catalog, out, **options, processes=processes, request=request)
 
 
 def read_corpus(reader: str, source: str | Path | None, **options: Any) -> Catalog:
@@ -220,7 +220,7 @@ def _move(staging: Path, out: Path, content: str) -> None:
 def _request_of(store: Path) -> str | None:
     """Return the request that made a store, None where there is no store."""
     file = store / "manifest.json"
-    return json.loads(file.read_text(encoding="utf-8"))["options"]["request"] if file.is_file() else None
+    return read_manifest(store)["options"]["request"] if file.is_file() else None
 
 
 def _listing(source: str | Path | None) -> str:

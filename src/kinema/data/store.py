@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
+import re
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,12 @@ from typing import Any
 import numpy as np
 
 from kinema.data.catalog import SPLITS
+from kinema.data.integrity import FEATURES, FIX, check_features, check_files
 from kinema.data.origin import ORIGIN, Origin
-from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.files.arrays import Wanted, map_npy
+from kinema.files.json import Each, fault, read_json
+from kinema.files.kinds import refuse
+from kinema.motion.skeleton import SKELETONS, Skeleton, get_skeleton
 from kinema.motion.statistics import Statistics
 from kinema.types import Caption
 
@@ -39,6 +43,20 @@ ENTRY = np.dtype(
 CAPTION = np.dtype([("text", "<i4"), ("tokens", "<i4")])
 """One caption: text and tokens in the string table."""
 
+TABLES = ("clips.npy", "entries.npy", "captions.npy", "string_ends.npy", "strings.utf8", "fields.npy", "fields.json")
+FILES = {FEATURES, "statistics.npz", "dropped.json", *TABLES}
+MANIFEST = {
+    "name": str,
+    "hash": str,
+    "skeleton": str,
+    "frames": int,
+    "fields": list,
+    "options": {"request": str | None},
+    "sizes": Each(int),
+    "checksums": Each(str),
+}
+"""What is read of a store's manifest."""
+
 
 class PackedStore:
     """Read a packed corpus; opening costs milliseconds, and workers and ranks share its pages.
@@ -48,18 +66,25 @@ class PackedStore:
     have no length filter; entries have passed the skeleton's.
 
     `clips` and `entries` are structured arrays, e.g. `store.entries["frames"]`; `split` holds indices into `SPLITS`.
+    Raises FileNotFoundError, or ValueError naming a file that is not as it was written; `checked` trusts them.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, *, checked: bool = False) -> None:
         self.path = Path(path)
-        self.manifest: dict[str, Any] = _read_manifest(self.path)
+        self.manifest: dict[str, Any] = read_manifest(self.path)
         self.skeleton: Skeleton = get_skeleton(self.manifest["skeleton"])
-        self.statistics = Statistics.load(self.path / "statistics.npz")
         shape = (self.manifest["frames"], self.skeleton.feature_width)
-        self._check_sizes()
-        self.features: np.memmap = np.memmap(self.path / "features.f32", dtype="<f4", mode="r", shape=shape)
-        self.clips = self._table("clips.npy")
-        self.entries = self._table("entries.npy")
+        if not checked:
+            check_files(self.path, self.manifest)
+        if 4 * shape[0] * shape[1] != self.manifest["sizes"][FEATURES]:
+            raise refuse(self.path / "manifest.json", f"says {shape[0]} frames, which {FEATURES} has not", FIX)
+        self.statistics = Statistics.load(self.path / "statistics.npz")
+        self.features: np.memmap = np.memmap(self.path / FEATURES, dtype="<f4", mode="r", shape=shape)
+        self.clips = self._table("clips.npy", CLIP)
+        self.entries = self._table("entries.npy", ENTRY)
+        for name, rows in (("clips.npy", self.clips), ("entries.npy", self.entries)):
+            if ((rows["offset"] < 0) | (rows["frames"] < 0) | (rows["offset"] + rows["frames"] > shape[0])).any():
+                raise refuse(self.path / name, f"names rows outside the {shape[0]} of the features", FIX)
 
     @classmethod
     def open(cls, path: str | Path) -> PackedStore:
@@ -143,7 +168,7 @@ class PackedStore:
         """The take of every clip and its frames there, rows of `ORIGIN`; none known in a store without the files."""
         if "origins.npy" not in self.manifest["sizes"]:
             return np.full(self.num_clips, -1, dtype=ORIGIN)
-        return self._table("origins.npy")
+        return self._table("origins.npy", ORIGIN)
 
     def clip_origin(self, clip: int) -> Origin | None:
         """Return where a clip was cut from, None where the corpus doesn't say."""
@@ -153,28 +178,20 @@ class PackedStore:
     @cached_property
     def dropped(self) -> list[dict[str, Any]]:
         """List what was left out: name, split, what (missing, clip, entry, caption), reason."""
-        return json.loads((self.path / "dropped.json").read_text(encoding="utf-8"))
+        return read_json(self.path / "dropped.json", list, fix=FIX)
 
-    def verify(self) -> list[str]:
-        """Name the files whose checksum is no longer the manifest's (reads everything)."""
-        return [name for name, wanted in self.manifest["checksums"].items() if checksum(self.path / name) != wanted]
+    def verify(self) -> None:
+        """Read the features too and renew their stamp; raises ValueError if they are not those that were written."""
+        check_features(self.path, self.manifest)
 
-    def __reduce__(self) -> tuple[type[PackedStore], tuple[Path]]:
-        return PackedStore, (self.path,)
+    def __reduce__(self) -> tuple[Callable[[Path], PackedStore], tuple[Path]]:
+        return _open_checked, (self.path,)
 
     def __repr__(self) -> str:
         return f"PackedStore({self.name!r}, {self.num_clips} clips, {self.num_entries} entries, hash {self.hash})"
 
-    def _check_sizes(self) -> None:
-        for name, wanted in self.manifest["sizes"].items():
-            file = self.path / name
-            found = file.stat().st_size if file.is_file() else None
-            if found != wanted:
-                state = "is missing" if found is None else f"has {found} bytes, {wanted} expected"
-                raise ValueError(f"packed corpus {self.path}: {name} {state}; delete the folder and prepare it again")
-
-    def _table(self, name: str) -> np.ndarray:
-        return np.load(self.path / name, mmap_mode="r", allow_pickle=False).view(np.ndarray)
+    def _table(self, name: str, dtype: np.dtype, shape: tuple[int | None, ...] = (None,)) -> np.ndarray:
+        return map_npy(self.path / name, Wanted(dtype, shape), fix=FIX)
 
     def _rows_of(self, row: np.void) -> np.ndarray:
         return self._rows[row["offset"] : row["offset"] + row["frames"]]
@@ -186,15 +203,15 @@ class PackedStore:
 
     @cached_property
     def _captions(self) -> np.ndarray:
-        return self._table("captions.npy")
+        return self._table("captions.npy", CAPTION)
 
     @cached_property
     def _takes(self) -> list[str]:
-        return json.loads((self.path / "takes.json").read_text(encoding="utf-8"))
+        return read_json(self.path / "takes.json", list, fix=FIX)
 
     @cached_property
     def _string_ends(self) -> np.ndarray:
-        return self._table("string_ends.npy")
+        return self._table("string_ends.npy", np.dtype("<i8"))
 
     @cached_property
     def _blob(self) -> np.ndarray:
@@ -206,17 +223,16 @@ class PackedStore:
 
     @cached_property
     def _field_codes(self) -> np.ndarray:
-        return self._table("fields.npy")
+        return self._table("fields.npy", np.dtype("<i4"), (self.num_clips, len(self.fields)))
 
     @cached_property
     def _field_values(self) -> dict[str, list[str]]:
-        return json.loads((self.path / "fields.json").read_text(encoding="utf-8"))
+        return read_json(self.path / "fields.json", Each(list), fix=FIX)
 
 
-def checksum(file: Path) -> str:
-    """Compute a file's sha256."""
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+def _open_checked(path: Path) -> PackedStore:
+    """Open a store that another process has just checked."""
+    return PackedStore(path, checked=True)
 
 
 def _split_index(split: str) -> int:
@@ -225,15 +241,26 @@ def _split_index(split: str) -> int:
     return SPLITS.index(split)
 
 
-def _read_manifest(path: Path) -> dict[str, Any]:
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Read and check what a store says of itself; raises FileNotFoundError, or ValueError naming what is wrong."""
     file = path / "manifest.json"
     if not file.is_file():
         raise FileNotFoundError(
             f"{path} is no packed corpus (no manifest.json); make one with kinema.data.prepare.prepare_store(...)"
         )
-    manifest = json.loads(file.read_text(encoding="utf-8"))
-    if manifest.get("format") != FORMAT:
-        raise ValueError(
-            f"{path} has store format {manifest.get('format')}, this version reads {FORMAT}; prepare it again"
-        )
+    manifest = read_json(file, {"format": int}, fix=FIX)
+    if manifest["format"] != FORMAT:
+        raise ValueError(f"{file} has store format {manifest['format']}, this version reads {FORMAT}; prepare it again")
+    if wrong := fault(manifest, MANIFEST):
+        raise refuse(file, wrong, FIX)
+    if manifest["skeleton"] not in SKELETONS:
+        raise refuse(file, f"has the skeleton {manifest['skeleton']!r}, allowed: {', '.join(SKELETONS)}", FIX)
+    # It names the folders of what is made of this corpus.
+    if not re.fullmatch("[0-9a-f]{12}", manifest["hash"]):
+        raise refuse(file, f"has the hash {manifest['hash']!r}, which is not 12 hex digits", FIX)
+    odd = [name for name in (*manifest["sizes"], *manifest["checksums"]) if Path(name).name != name]
+    lacking = FILES - (manifest["sizes"].keys() & manifest["checksums"].keys())
+    if odd or lacking:
+        what = f"names {odd[0]!r}, which is no file of its folder" if odd else f"does not name {min(lacking)}"
+        raise refuse(file, what, FIX)
     return manifest

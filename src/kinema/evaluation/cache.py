@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
+from rich.markup import escape
 from torch import Tensor
 
 from kinema.atomic import replacing
+from kinema.files.arrays import Wanted, read_npz
+from kinema.files.kinds import DamagedError
+from kinema.runs.console import console
 from kinema.types import Caption, MotionBatch
 
 
@@ -46,10 +49,9 @@ class Shelf:
         self._known: dict[str, np.ndarray] = {}
         if path is not None and path.is_file():
             try:
-                with np.load(path, allow_pickle=False) as arrays:
-                    self._known = {name: arrays[name] for name in arrays.files}
-            except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
-                raise ValueError(f"{path} is damaged ({error}); delete it, it will be computed anew") from None
+                self._known = read_npz(path, Wanted("f", (None, None)), fix="it is computed anew")
+            except DamagedError as error:
+                console.print(f"[yellow]note[/]      {escape(str(error))}")
 
     def get(self, key: str, compute: Callable[[], Tensor], device: torch.device) -> Tensor:
         """Return the embeddings under a key; compute them once."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from kinema.experiments.config import plain
+from kinema.experiments.config import plain, read_config
 from kinema.experiments.stages import stages
 from kinema.experiments.tables import TableRow
 from kinema.runs.folder import RunFolder
@@ -46,7 +46,7 @@ def run_cards(rows: Iterable[TableRow]) -> list[dict[str, Any]]:
 
 def _card(path: Path, labels: list[str], judge: bool) -> dict[str, Any]:
     status, stage = RunFolder(path).status, path.parent.name
-    cfg = OmegaConf.load(path / "config.yaml") if (path / "config.yaml").is_file() else OmegaConf.create()
+    cfg = read_config(path) if (path / "config.yaml").is_file() else OmegaConf.create()
     facts: dict[str, Any] = {key: status[key] for key in FACTS if key in status}
     facts |= {"seed": cfg.seed} if "seed" in cfg else {}
     facts |= {f"from {part}": run.name for part, run in sorted(upstream(path).items())}

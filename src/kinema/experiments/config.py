@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import yaml
 from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import InterpolationKeyError, OmegaConfBaseException
+
+from kinema.files.json import Kind, fault
+from kinema.files.kinds import refuse
+from kinema.files.yaml import read_yaml
 
 
 def find_conf(package: Path) -> Path:
@@ -42,6 +47,21 @@ def register_resolvers() -> None:
 
 def _corpus(humanml3d: Any, kit: Any, *, _root_: DictConfig) -> Any:
     return kit if _root_.data.skeleton == "kit" else humanml3d
+
+
+def read_config(run: Path, kind: Kind = dict) -> DictConfig:
+    """Read the configuration that a run was made with; raises FileNotFoundError, or ValueError if it is no such."""
+    path, fix = run / "config.yaml", "train the run again"
+    text = read_yaml(path, fix=fix)
+    if "${" in text:
+        raise refuse(path, "refers to other values (${...}), and a run's holds plain ones", fix)
+    try:
+        cfg = OmegaConf.create(text)
+    except (OmegaConfBaseException, yaml.YAMLError, ValueError, TypeError) as error:
+        raise refuse(path, f"is damaged ({error})", fix) from None
+    if wrong := fault(plain(cfg), kind):
+        raise refuse(path, wrong, fix)
+    return cast(DictConfig, cfg)
 
 
 def compose(overrides: list[str], config_name: str = "train") -> DictConfig:

@@ -11,9 +11,9 @@ from omegaconf import DictConfig
 
 from kinema.devices import global_rank
 from kinema.experiments.config import plain
+from kinema.experiments.replications import scored_lines
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
-from kinema.runs.lines import read_lines
 from kinema.training.dashboards import About, Dashboard, check_names, dashboards, kinds
 from kinema.training.record import Record
 
@@ -87,7 +87,7 @@ def _show_results(cfg: DictConfig, folder: Path, made: Sequence[Dashboard]) -> N
         save_films(motions[: cfg.callbacks.sample_films], record, 0)
     for path in record.samples():
         record.show(path)
-    for line in sorted(read_lines(folder / "replications.jsonl"), key=lambda line: line["replication"]):
+    for line in sorted(scored_lines(folder), key=lambda line: line["replication"]):
         for dashboard in made:
             dashboard.scalars(line["replication"], line["metrics"])
 

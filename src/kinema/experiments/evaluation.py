@@ -18,13 +18,14 @@ from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import check_logger, show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
+from kinema.experiments.replications import REPLICATIONS, scored_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.locks import attempt
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
-from kinema.runs.lines import append_line, read_lines
+from kinema.runs.lines import append_line
 from kinema.runs.versions import versions
 
 if TYPE_CHECKING:
@@ -69,11 +70,6 @@ class Row:
         """The replications that are asked for and have no line."""
         there = {line["replication"] for line in self.lines}
         return tuple(r for r in self.asked if r not in there)
-
-
-def scored_lines(folder: Path) -> list[dict[str, Any]]:
-    """Read the replications that an evaluation's folder holds."""
-    return read_lines(folder / "replications.jsonl")
 
 
 def describe(cfg: DictConfig) -> Row:
@@ -230,6 +226,6 @@ class _Scoring:
             "provenance": {**scorer.provenance, "versions": self.software},
         }
         with folder.lock():
-            append_line(folder.path / "replications.jsonl", line)
+            append_line(folder.path / REPLICATIONS, line)
         shown = " ".join(f"{k} {result.metrics[k]:.3f}" for k in ("r1", "r3", "fid", "matching") if k in result.metrics)
         console.print(f"  replication {replication}: {shown} ({line['seconds']:.0f} s)")

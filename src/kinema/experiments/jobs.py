@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from rich.markup import escape
 
 from kinema.experiments.config import compose, refuse_processes
-from kinema.experiments.evaluation import scored_lines
+from kinema.experiments.replications import scored_lines
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage

@@ -6,8 +6,8 @@ from pathlib import Path
 from statistics import median
 
 from kinema.experiments.config import compose
-from kinema.experiments.evaluation import scored_lines
 from kinema.experiments.jobs import TRAIN, Job
+from kinema.experiments.replications import scored_lines
 from kinema.experiments.stages import get_stage
 from kinema.experiments.tables import TableRow
 from kinema.runs.console import console
@@ -38,9 +38,9 @@ def estimate(job: Job) -> float | None:
     if job.command != TRAIN:
         seconds = [line["seconds"] for path in alike for line in scored_lines(path)]
         return median(seconds) * len(job.replications) if seconds else None
-    finished = [RunFolder(path).status for path in alike if RunFolder(path).done]
-    if finished:
-        return median(status["seconds"] for status in finished)
+    finished = [RunFolder(path).status.get("seconds") for path in alike if RunFolder(path).done]
+    if known := [seconds for seconds in finished if seconds is not None]:  # an imported run took none
+        return median(known)
     return _by_steps(job)
 
 

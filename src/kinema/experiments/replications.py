@@ -1,8 +1,31 @@
-"""Average replications over training seeds."""
+"""Read the replications of an evaluation, and average them over training seeds."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
+
+from kinema.files.json import NUMBER, Each
+from kinema.runs.lines import read_lines
+
+REPLICATIONS = "replications.jsonl"
+LINE = {
+    "replication": int,
+    "metrics": Each(NUMBER),
+    "breakdowns": Each(Each(Each(NUMBER))),
+    "provenance": dict,
+    "seconds": NUMBER,
+}
+"""What a replication's line holds."""
+
+
+def scored_lines(folder: Path) -> list[dict[str, Any]]:
+    """Read the replications that an evaluation's folder holds.
+
+    Raises ValueError naming a line that is damaged: results are never made again in silence.
+    """
+    return read_lines(folder / REPLICATIONS, LINE)
 
 
 def over_seeds(found: list[list[dict[str, float]]]) -> list[dict[str, float]]:

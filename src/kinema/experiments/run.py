@@ -11,6 +11,7 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.atomic import write_text
 from kinema.data.store import PackedStore
 from kinema.devices import global_rank
 from kinema.experiments.config import plain, validate
@@ -137,7 +138,7 @@ def _make(
         console.print(f"[yellow]note[/]      {left_out}")
     resolved = plain(cfg)
     resolved.pop("hydra", None)
-    OmegaConf.save(OmegaConf.create(resolved), folder.path / "config.yaml")
+    write_text(folder.path / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(resolved)))
     link(folder.path, {name: run.path for name, run in (needs | beside).items()})
     folder.mark("running", versions=versions())
     try:

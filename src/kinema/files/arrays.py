@@ -58,6 +58,10 @@ class Wanted:
         return None
 
 
+ANY = Wanted(f"{NUMBERS}bU")
+"""Numbers, truth values or texts."""
+
+
 def read_npy(path: str | Path, wanted: Wanted | None = None, *, most: int = MOST, fix: str = FIX) -> np.ndarray:
     """Read one array; raises FileNotFoundError, or ValueError naming the file, what is wrong and `fix`."""
     path, dtype, shape, fortran, start = _open_npy(path, wanted, fix)
@@ -77,9 +81,9 @@ def map_npy(path: str | Path, wanted: Wanted | None = None, *, fix: str = FIX) -
 
 
 def read_npz(
-    path: str | Path, wanted: Mapping[str, Wanted] | None = None, *, most: int = MOST, fix: str = FIX_NPZ
+    path: str | Path, wanted: Mapping[str, Wanted] | Wanted = ANY, *, most: int = MOST, fix: str = FIX_NPZ
 ) -> dict[str, np.ndarray]:
-    """Read the arrays of an archive that are `wanted`, or all of them, none of which may hold objects.
+    """Read the arrays of an archive that are `wanted` by name, or all of them, each of which is as one is wanted.
 
     `most` bytes are unpacked. Raises FileNotFoundError, or ValueError naming the file, what is wrong and `fix`.
     """
@@ -108,13 +112,13 @@ def _open_npy(path: str | Path, wanted: Wanted | None, fix: str) -> tuple[Path, 
 
 
 def _members(
-    path: Path, archive: zipfile.ZipFile, wanted: Mapping[str, Wanted] | None, most: int, fix: str
+    path: Path, archive: zipfile.ZipFile, wanted: Mapping[str, Wanted] | Wanted, most: int, fix: str
 ) -> dict[str, np.ndarray]:
     infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
     if len(infos) != len(archive.infolist()):
         raise refuse(path, "holds two arrays of one name", fix)
-    if wanted is None:
-        wanted = {name: Wanted(f"{NUMBERS}bU") for name in infos}
+    if isinstance(wanted, Wanted):
+        wanted = dict.fromkeys(infos, wanted)
     missing = [name for name, one in wanted.items() if name not in infos and not one.optional]
     if missing:
         raise refuse(path, f"holds no {', '.join(missing)}; it has {', '.join(list(infos)[:12]) or 'nothing'}", fix)

@@ -2,31 +2,18 @@
 
 from __future__ import annotations
 
-import pickle
 import re
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-from numpy._core.multiarray import scalar
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from kinema.files.checkpoints import read_safetensors, read_torch
 from kinema.runs.build import build
 
 Rules = Sequence[tuple[str, str | None]]
 """Pattern of a whole published key -> our key (`\\1` inserts groups), or None for a key that is not needed."""
-
-# Published files carry best scores as NumPy scalars beside the weights; rebuilding one runs nothing.
-_NUMPY_SCALARS: list[Callable[..., Any] | tuple[Callable[..., Any], str]] = [
-    np.dtype,
-    *(type(np.dtype(kind)) for kind in ("float64", "float32", "int64", "int32", "bool")),
-    (scalar, "numpy.core.multiarray.scalar"),
-    (scalar, "numpy._core.multiarray.scalar"),
-]
 
 
 def read_checkpoint(path: str | Path) -> dict[str, Any]:
@@ -39,19 +26,8 @@ def read_checkpoint(path: str | Path) -> dict[str, Any]:
         raise FileNotFoundError(
             f"no checkpoint file at {path}; give the path of a .tar, .pth, .pt or .safetensors file"
         )
-    try:
-        if path.suffix == ".safetensors":
-            content = load_file(path)
-        else:
-            with torch.serialization.safe_globals(_NUMPY_SCALARS):
-                content = torch.load(path, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(path))
-    except pickle.UnpicklingError as error:
-        raise ValueError(_refusal(path, error)) from None
-    except Exception as error:  # a cut-off pickle can fail in any way: struct.error, KeyError, TypeError ...
-        raise ValueError(_damaged(path, error)) from None
-    if not isinstance(content, dict):
-        raise ValueError(f"{path} holds a {type(content).__name__}, not a dict of tensors; give a checkpoint file")
-    return content
+    fix = "download it again, or save its state dict alone"
+    return read_safetensors(path, fix=fix)[0] if path.suffix == ".safetensors" else read_torch(path, fix=fix)
 
 
 def unwrap(content: Mapping[str, Any], wrappers: Sequence[str], *, several: bool = False) -> dict[str, Tensor]:
@@ -138,16 +114,3 @@ def _plain(key: str) -> str:
 
 def _few(keys: Sequence[str], size: int = 5) -> str:
     return ", ".join(keys[:size]) + (", ..." if len(keys) > size else "")
-
-
-def _damaged(path: Path, error: BaseException) -> str:
-    reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
-    return f"{path} cannot be read as a checkpoint ({reason}): truncated, or of another kind; download it again"
-
-
-def _refusal(path: Path, error: pickle.UnpicklingError) -> str:
-    named = re.search(r"(?:GLOBAL|global|class|function) ([\w.]+)", str(error))
-    if named is None and "Unsupported" not in str(error):
-        return _damaged(path, error)
-    name = named.group(1) if named else "an unsupported object"
-    return f"{path} holds more than tensors ({name}) and could run code, so it is not loaded; save its state dict alone"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from torch import nn
 
+from kinema.files.arrays import Wanted, read_npy
 from kinema.motion.skeleton import SKELETONS
 from kinema.motion.statistics import Statistics
 
@@ -46,5 +47,5 @@ def read_statistics(source: Any) -> Statistics:
         return Statistics.load(source)
     if len(source) != 2:
         raise ValueError(f"statistics are a folder, an .npz or two .npy files (mean, std), not {len(source)} paths")
-    mean, std = (np.load(path, allow_pickle=False).astype(np.float64) for path in source)
+    mean, std = (read_npy(path, Wanted(shape=(None,))).astype(np.float64) for path in source)
     return Statistics(mean, std)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Shaped
@@ -36,14 +36,14 @@ class Convention:
 
     `up`: the axis that points up, of `AXES`. `handed`: "left" for coordinates of a left-handed system (Unity, Unreal).
     `scale`: the skeleton's units in one of the clip's, 0.01 for centimetres. `order`: one of `ORDERS`, or the joints'
-    names, separated by commas. `fps`: frames per second.
+    names, separated by commas. `fps`: frames per second. Numbers come from users: they are checked, not typed.
     """
 
     up: str | None = None
-    handed: Literal["left", "right"] | None = None
-    scale: float | None = None
+    handed: str | None = None
+    scale: Any = None
     order: str | None = None
-    fps: float | None = None
+    fps: Any = None
 
     def __post_init__(self) -> None:
         for name, value, allowed in (("up", self.up, tuple(AXES)), ("handed", self.handed, ("left", "right"))):

@@ -28,7 +28,7 @@ UNITS = (0.001, 0.01, 0.0254, 0.1, 0.3048, 10, 100, 1000)
 class Geometry:
     """Hold what a clip's joints tell, whatever the person does.
 
-    `up` (3,): mean direction from root to head. `upright`: cosine between that and +Y in the most upright frames.
+    `up` (3,): mean direction from the feet to the head. `upright`: its cosine with +Y in the most upright frames.
     `toes`: mean cosine between the feet and the facing that hips and shoulders give; negative where sides are swapped.
     `scatter`: standard deviation of the logarithms of bone lengths over the skeleton's (0 if it has none).
     `asymmetry`: greatest ratio between a left bone and its right one. `size`: legs over the skeleton's.
@@ -45,12 +45,13 @@ class Geometry:
 def measure(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton) -> Geometry:
     """Measure a clip of finite joints whose bones all have a length, in the skeleton's unit."""
     joints = joints.astype(np.float64)
-    head = unit(joints[:, skeleton.joint_names.index("head")] - joints[:, 0])
+    feet = joints[:, [skeleton.feet_left[0], skeleton.feet_right[0]]].mean(axis=1)
+    way = unit(joints[:, skeleton.joint_names.index("head")] - feet)
     bones = np.median(bone_lengths(joints, skeleton), axis=0)
     left, right = np.array(skeleton.mirror_pairs).T
     return Geometry(
-        up=head.mean(axis=0),
-        upright=float(np.quantile(head[:, 1], UPRIGHT_SHARE)),
+        up=way.mean(axis=0),
+        upright=float(np.quantile(way[:, 1], UPRIGHT_SHARE)),
         toes=float(_toes_along_facing(joints, skeleton).mean()),
         scatter=_scatter(bones, skeleton),
         asymmetry=float(np.exp(np.abs(np.log(bones[left] / bones[right])).max())),
@@ -74,7 +75,7 @@ def _scatter(bones: Float[np.ndarray, " j"], skeleton: Skeleton) -> float:
 
 
 def up_axis(geometry: Geometry) -> str:
-    """Name the axis along which the head is above the root."""
+    """Name the axis along which the head is above the feet."""
     axis = int(np.abs(geometry.up).argmax())
     name = ("-" if geometry.up[axis] < 0 else "") + "xyz"[axis]
     assert name in AXES

@@ -13,8 +13,9 @@ from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.files.kinds import describe, head_of, require_file
 from kinema.motion.checks import Problem, check_clip
 from kinema.motion.convention import AS_IS, Convention
-from kinema.motion.features import extract
+from kinema.motion.features import extract_every
 from kinema.motion.formats.arrays import PARTS, load_npz
+from kinema.motion.lifting import lift
 from kinema.motion.recovery import recover_joints
 from kinema.motion.shapes import is_features, skeleton_of
 from kinema.motion.skeleton import Skeleton, get_skeleton
@@ -46,6 +47,25 @@ class Recording:
         """Check the joints."""
         return check_clip(self.joints, self.skeleton, self.skeleton.fps, self.convention)
 
+    def motion(self, skeleton: Skeleton, width: int) -> Motion:
+        """Return it with a row of `width` columns for each frame; joints stay where they are.
+
+        Rows that are narrower are completed, those of joints alone extracted with the skeleton's own bone lengths.
+        Raises ValueError for another skeleton, and for joints that are no sound clip.
+        """
+        if self.skeleton is not skeleton:
+            raise ValueError(f"{self.path} holds {self.skeleton.name}'s motion, {skeleton.name}'s is needed")
+        rows = self.features
+        broken = ("shape", "nan", "bone") if rows is not None else None  # what was generated may be as odd as it likes
+        if fatal := [p for p in self.problems() if p.fatal and (broken is None or p.kind in broken)]:
+            raise ValueError(f"{self.path}: {'; '.join(f'{p.message}; fix: {p.fix}' for p in fatal)}")
+        if rows is None:
+            lengths = None if skeleton.bone_lengths is None else "skeleton"  # as corpora are prepared
+            rows = extract_every(self.joints, skeleton, target_bone_lengths=lengths)
+        elif rows.shape[1] < width:
+            rows = lift(rows, skeleton)
+        return Motion(self.joints, rows, self.text, skeleton.name, skeleton.fps)
+
 
 def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recording:
     """Read a clip. Raises FileNotFoundError, or ValueError that names the file, what it is and what to do."""
@@ -56,30 +76,6 @@ def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recordin
     if not head.startswith(b"\x93NUMPY"):
         raise ValueError(f"{path} {describe(head)}, no motion; {FIX}")
     return _from_array(path, read_npy(path, Wanted(NUMBERS), fix=FIX), convention)
-
-
-def read_motion(path: str | Path, skeleton: Skeleton, width: int, convention: Convention = AS_IS) -> Motion:
-    """Read a motion; features of `width` columns are extracted from its joints where it has none so wide.
-
-    Extraction gives one frame less than there are joints (HUMANML3D_DATA §3) and puts the clip at the origin. Raises
-    ValueError for another skeleton, or joints that are no sound clip.
-    """
-    found = read_recording(path, convention)
-    if found.skeleton is not skeleton:
-        raise ValueError(
-            f"{path} holds {found.skeleton.name}'s motion, the run makes {skeleton.name}'s; choose another run"
-        )
-    if found.features is not None and found.features.shape[1] >= width:
-        if not np.isfinite(found.features).all():
-            raise ValueError(f"{path} holds NaN or infinite features; extract the clip again")
-        return Motion(found.joints, found.features, found.text, skeleton.name, skeleton.fps)
-    fatal = [p for p in found.problems() if p.fatal and (found.features is None or p.kind in ("shape", "nan", "bone"))]
-    if fatal:
-        raise ValueError(f"{path}: {'; '.join(f'{p.message}; fix: {p.fix}' for p in fatal)}")
-    lengths = None if skeleton.bone_lengths is None else "skeleton"  # as corpora are prepared
-    features = extract(found.joints, skeleton, target_bone_lengths=lengths)
-    joints = recover_joints(torch.from_numpy(features), skeleton).numpy()
-    return Motion(joints, features, found.text, skeleton.name, skeleton.fps)
 
 
 def _from_array(path: Path, array: np.ndarray, told: Convention, text: str = "") -> Recording:
@@ -112,7 +108,8 @@ def _archive(path: Path, told: Convention) -> Recording:
         note = f"a motion of {motion.joints.shape[1]} joints with features {motion.features.shape}"
         if told != AS_IS:
             raise ValueError(f"{path} is a motion that kinema wrote: no option changes its convention")
-        return Recording(path, skeleton, motion.joints, motion.features, told, note, motion.text)
+        rows = motion.features if motion.features.shape[1] >= skeleton.essential_width else None
+        return Recording(path, skeleton, motion.joints, rows, told, note, motion.text)
     if any(known <= set(names) for known in BODY_PARAMETERS):
         raise ValueError(f"{path} {_body_parameters(path, names)}")
     numbers = read_npz(path, {name: Wanted(f"{NUMBERS}bUS", optional=True) for name in names}, fix=FIX)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from kinema.atomic import replacing
+from kinema.files.arrays import Wanted, read_npy, read_npz
 from kinema.motion.skeleton import Skeleton
 
 PUBLISHED_DIVISOR = 25.0
 """The T2M family's feat_bias of 5, applied twice to one shared array."""
+
+VECTOR = Wanted(shape=(None,))
+FIX = "give an .npz of Statistics.save or a folder with Mean.npy, Std.npy"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,25 +90,14 @@ class Statistics:
     def load(cls, path: str | Path) -> Statistics:
         """Read an .npz written by `save`, or a folder with the published `Mean.npy` and `Std.npy`."""
         path = Path(path)
-        files = [path / "Mean.npy", path / "Std.npy"] if path.is_dir() else [path]
-        arrays = {name: values for file in files for name, values in _read(file).items()}
-        if not {"mean", "std"} <= arrays.keys():
-            raise ValueError(f"{path} holds no 'mean' and 'std'; give a file of Statistics.save")
-        return cls(arrays["mean"].astype(np.float64), arrays["std"].astype(np.float64))
-
-
-def _read(path: Path) -> dict[str, np.ndarray]:
-    """Read an .npz, or an .npy as one array of the file's name; neither executes code."""
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is absent; give an .npz of Statistics.save or a folder with Mean.npy, Std.npy")
-    try:
-        loaded = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is no .npy or .npz of plain numbers ({error}); write it again") from None
-    if isinstance(loaded, np.ndarray):
-        return {path.stem.lower(): loaded}
-    with loaded:
-        return dict(loaded)
+        if path.is_dir():
+            mean, std = (read_npy(path / name, VECTOR, fix=FIX) for name in ("Mean.npy", "Std.npy"))
+        else:
+            mean, std = read_npz(path, {"mean": VECTOR, "std": VECTOR}, fix=FIX).values()
+        try:
+            return cls(mean.astype(np.float64), std.astype(np.float64))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
 
 
 def _grouped(std: np.ndarray, skeleton: Skeleton) -> np.ndarray:

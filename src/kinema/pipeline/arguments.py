@@ -18,6 +18,11 @@ def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: i
     if frames is None and seconds is None:
         return None
     asked = _spread(frames if seconds is None else seconds, size)
+    for length in asked:
+        if not np.isfinite(length):
+            raise ValueError(
+                f"length {length:g} is no length; give at most {maximum / fps:g} seconds ({maximum} frames)"
+            )
     counts = asked if seconds is None else [round(a * fps) for a in asked]
     for count in counts:
         if count != int(count):

@@ -203,7 +203,7 @@ def largest_seam(motion: Motion) -> tuple[int, float] | None:
 def _frame(text: str, fps: float) -> int:
     try:
         return round(float(text[:-1]) * fps) if text.endswith("s") else int(text)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise ValueError(f"{text!r} is neither a frame (20) nor a time in seconds (1.5s)") from None
 
 

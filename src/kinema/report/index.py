@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Callable
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
 from kinema.atomic import write_text
+from kinema.files.json import Kind, read_json
+from kinema.files.kinds import refuse
 from kinema.report.content import Content, content_of
-from kinema.report.gallery import gallery, group_of, moved
+from kinema.report.gallery import Group, gallery, group_of, moved
 from kinema.report.page import document, html_page
 from kinema.report.sections import sections_page
 from kinema.report.text import PAPER_CORPORA
@@ -26,46 +29,74 @@ def write_site(reports: str | Path) -> list[Path]:
     """
     reports = Path(reports)
     folders = sorted(path for path in reports.iterdir() if path.is_dir()) if reports.is_dir() else []
-    tables = {f.name: content_of(_read(f / "table.json")) for f in folders if (f / "table.json").exists()}
-    pages = {f.name: _read(f / "page.json") for f in folders if (f / "page.json").exists()}
-    others = [f for f in folders if f.name not in {*tables, *pages} and any(f.glob("*.md"))]
+    tables = [_table_of(f) for f in folders if (f / "table.json").exists()]
+    pages = [_page_of(f) for f in folders if (f / "page.json").exists()]
+    others = [f for f in folders if f.name not in {made.name for made in (*tables, *pages)} and any(f.glob("*.md"))]
     if not (tables or pages or others):
         raise FileNotFoundError(f"{reports} holds no report; make one: `kinema reproduce table5`")
-    groups = [g for name, content in tables.items() if (g := group_of(content.table, f"{name}/"))]
-    groups += [moved(told["motions"], f"{name}/") for name, told in pages.items() if "motions" in told]
+    groups = [made.motions for made in (*tables, *pages) if made.motions]
     parts = [
         f"<header class='kinema-page-head'><h1>{TITLE}</h1></header>",
-        _tables(tables),
+        _tables([table.line for table in tables]),
         "<p><a href='gallery.html'>All motions, prompt by prompt, methods beside or over each other</a></p>"
         if groups
         else "",
-        _pages({name: told["title"] for name, told in pages.items()}),
+        _pages([page.line for page in pages]),
         _others(others),
     ]
-    written = [write_text(reports / "index.html", document(TITLE, parts))]
+    texts = {reports / "index.html": document(TITLE, parts)}
     if groups:
         heading = "<header class='kinema-page-head'><h1>Gallery</h1></header>"
         groups.sort(key=lambda group: -len(group["sources"]))
-        text = document("Gallery", [heading, gallery(groups)], "index.html")
-        written.append(write_text(reports / "gallery.html", text))
-    texts = {name: html_page(content, _HOME) for name, content in tables.items()}
-    texts |= {name: sections_page(told, _HOME) for name, told in pages.items()}
-    return [*written, *(write_text(reports / name / "index.html", text) for name, text in texts.items())]
+        texts[reports / "gallery.html"] = document("Gallery", [heading, gallery(groups)], "index.html")
+    texts |= {reports / made.name / "index.html": made.page for made in (*tables, *pages)}
+    return [write_text(path, text) for path, text in texts.items()]
 
 
-def _read(path: Path) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Made:
+    """Hold what a folder gives to the site: its own page, its line on the first, and its motions."""
+
+    name: str
+    page: str
+    line: str
+    motions: Group | None
+
+
+def _table_of(folder: Path) -> _Made:
+    def make(told: dict[str, Any]) -> _Made:
+        content = content_of(told)
+        motions = group_of(content.table, f"{folder.name}/")
+        return _Made(folder.name, html_page(content, _HOME), _table(folder.name, content), motions)
+
+    return _made(folder / "table.json", {"title": str, "columns": list, "rows": list}, make)
+
+
+def _page_of(folder: Path) -> _Made:
+    def make(told: dict[str, Any]) -> _Made:
+        motions = moved(told["motions"], f"{folder.name}/") if "motions" in told else None
+        line = f"<li><a href='{escape(folder.name)}/index.html'>{escape(told['title'])}</a></li>"
+        return _Made(folder.name, sections_page(told, _HOME), line, motions)
+
+    return _made(folder / "page.json", {"title": str, "sections": list}, make)
+
+
+def _made(path: Path, kind: Kind, make: Callable[[dict[str, Any]], _Made]) -> _Made:
+    """Make what a report's file tells; raises ValueError naming it if it lacks something."""
+    fix = "render its report again with `kinema reproduce`"
+    told = read_json(path, kind, fix=fix)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged ({error}); render its report again with `kinema reproduce`") from None
+        return make(told)
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        raise refuse(path, f"is damaged ({type(error).__name__}: {error})", fix) from None
 
 
-def _tables(tables: dict[str, Content]) -> str:
-    if not tables:
+def _tables(lines: list[str]) -> str:
+    if not lines:
         return ""
     heads = ("table", "corpus", "scale", "rows", "without results", "as in the paper", "opposite", "files")
     head = "".join(f"<th scope='col'>{text}</th>" for text in heads)
-    rows = "\n".join(_table(name, content) for name, content in tables.items())
+    rows = "\n".join(lines)
     return (
         "<h2>Tables</h2>\n<div class='scroll' tabindex='0'><table class='sortable'>\n"
         f"<thead><tr>{head}</tr></thead>\n<tbody>\n{rows}\n</tbody></table></div>\n"
@@ -91,9 +122,8 @@ def _table(name: str, content: Content) -> str:
     )
 
 
-def _pages(titles: dict[str, str]) -> str:
-    items = "".join(f"<li><a href='{escape(n)}/index.html'>{escape(t)}</a></li>" for n, t in titles.items())
-    return f"<h2>Measurements</h2>\n<ul>{items}</ul>" if items else ""
+def _pages(lines: list[str]) -> str:
+    return f"<h2>Measurements</h2>\n<ul>{''.join(lines)}</ul>" if lines else ""
 
 
 def _others(folders: list[Path]) -> str:

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from kinema.atomic import write_json
+from kinema.files.json import NUMBER, Kind, read_json
 from kinema.locks import hold
 from kinema.runs.console import console
+
+MOST = 1 << 20
+"""Bytes that a file about a run may have."""
+
+STATUS = {
+    "state": str,
+    "error": str | None,
+    "step": int | None,
+    "seconds": NUMBER | None,
+    "val_loss": NUMBER | None,
+    "parameters": int | None,
+    "device": str | None,
+    "versions": dict | None,
+}
 
 
 @dataclass(frozen=True)
@@ -22,7 +36,7 @@ class RunFolder:
     @property
     def status(self) -> dict[str, Any]:
         """What status.json says, or `pending` where there is none."""
-        return read_json(self.path / "status.json") or {"state": "pending"}
+        return read_about(self.path / "status.json", STATUS) or {"state": "pending"}
 
     @property
     def done(self) -> bool:
@@ -45,13 +59,9 @@ class RunFolder:
         return hold(self.path / ".lock", waiting=lambda: console.print(told))
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_about(path: Path, kind: Kind) -> dict[str, Any]:
     """Read a run's small JSON object; a missing file is an empty one."""
-    if not path.is_file():
+    if not path.exists():
         return {}
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(
-            f"{path} is damaged ({error}); delete this run folder, and train or import the run again"
-        ) from None
+    fix = "the file is damaged: delete this run folder, and train or import the run again"
+    return read_json(path, kind, most=MOST, fix=fix)

@@ -10,8 +10,9 @@ from typing import Any
 import torch
 
 from kinema.atomic import write_json
+from kinema.files.json import Each
 from kinema.runs import weights
-from kinema.runs.folder import RunFolder, read_json
+from kinema.runs.folder import RunFolder, read_about
 
 GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
 """The parts that a pipeline itself knows by name; a generator names those that it takes."""
@@ -20,6 +21,7 @@ MATCHING, CONTRASTIVE = "matching", "contrastive"
 """The evaluators, T2M-style and CLIP-style."""
 
 UPSTREAM, TEXT = "upstream.json", "text.json"
+ENCODER = {"encoder": str, "path": str | None}
 
 
 def load_part(folder: Path, device: torch.device | str = "cpu", part: str | None = None) -> tuple[Any, dict[str, Any]]:
@@ -46,7 +48,7 @@ def link(run: Path, parts: Mapping[str, Path]) -> None:
 
 def upstream(run: Path) -> dict[str, Path]:
     """Read which runs hold a run's parts; none where nothing was linked."""
-    return {name: (run / part).resolve() for name, part in read_json(run / UPSTREAM).items()}
+    return {name: (run / part).resolve() for name, part in read_about(run / UPSTREAM, Each(str)).items()}
 
 
 def write_text_encoder(run: Path, name: str, path: str | None) -> None:
@@ -56,4 +58,4 @@ def write_text_encoder(run: Path, name: str, path: str | None) -> None:
 
 def read_text_encoder(run: Path) -> dict[str, Any]:
     """Read which text encoder a run's model reads: `encoder` and `path`; nothing where it reads none."""
-    return read_json(run / TEXT)
+    return read_about(run / TEXT, ENCODER)

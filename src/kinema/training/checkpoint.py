@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
-import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from torch import Tensor
 
 from kinema.atomic import replacing
+from kinema.files.checkpoints import read_torch
+from kinema.files.json import fault
+from kinema.files.kinds import refuse
+
+CONTENT = {
+    "pytorch-lightning_version": str,
+    "epoch": int,
+    "global_step": int,
+    "state_dict": dict,
+    "loops": dict,
+    "callbacks": dict,
+    "optimizer_states": list,
+    "lr_schedulers": list,
+}
+"""What Lightning resumes from."""
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Save through a temporary file and a rename; load plain containers only."""
+    """Save through a temporary file and a rename; load plain containers only, of a model with tensors like `model`."""
+
+    def __init__(self, model: Mapping[str, Tensor]) -> None:
+        self.shapes = {name: value.shape for name, value in model.items()}
 
     def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
         """Write the checkpoint so that a reader sees the old file or the new one, never a part."""
@@ -28,10 +47,14 @@ class AtomicCheckpointIO(TorchCheckpointIO):
             ) from error
 
     def load_checkpoint(self, path: str | Path, map_location: Any = None, weights_only: bool | None = True) -> Any:
-        """Read a checkpoint; a truncated one is named together with what to do."""
-        try:
-            return torch.load(path, map_location=map_location or "cpu", weights_only=True)
-        except (RuntimeError, EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
-            raise ValueError(
-                f"checkpoint {path} cannot be read ({error}); delete it to train this stage from the start"
-            ) from error
+        """Read a checkpoint; one that is damaged or of another model is named together with what to do."""
+        fix = "delete it to train this stage from the start"
+        content = read_torch(path, device=map_location or "cpu", mapped=False, fix=fix)
+        wrong = fault(content, CONTENT)
+        found = {name: getattr(value, "shape", None) for name, value in content.get("state_dict", {}).items()}
+        if wrong is None and found != self.shapes:
+            odd = sorted(name for name in found.keys() | self.shapes.keys() if found.get(name) != self.shapes.get(name))
+            wrong = f"is of another model: {', '.join(odd[:3])} differ"
+        if wrong is not None:
+            raise refuse(path, wrong, fix)
+        return content

@@ -110,7 +110,7 @@ def fit(
         log_every_n_steps=machine.log_every,
         logger=False,
         callbacks=[*averaging, best, RunRecord(record, pace, machine.log_every), *callbacks, *bars, saver],
-        plugins=[AtomicCheckpointIO()],
+        plugins=[AtomicCheckpointIO(module.state_dict())],
         enable_checkpointing=False,
         enable_progress_bar=bool(bars),
         enable_model_summary=False,

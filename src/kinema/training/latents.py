@@ -7,19 +7,30 @@ to keep than latents and spare the encoder, so that every step draws anew.
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import torch
+from rich.markup import escape
 
 from kinema.atomic import new_folder
 from kinema.data.datasets import ClipDataset
+from kinema.files.arrays import Wanted, map_npy, read_npy
+from kinema.files.json import read_json
+from kinema.files.kinds import DamagedError, refuse
+from kinema.runs.console import console
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.posterior import PosteriorTokenizer, draw
 from kinema.types import Latents, MotionBatch
 
 BATCH = 64
 """Crops that are encoded at once."""
+
+META = {"dim": int, "discrete": bool, "drawn": bool | None}
+FIX = "the latents are made again"
 
 
 class LatentCache:
@@ -29,11 +40,14 @@ class LatentCache:
     """
 
     def __init__(self, folder: Path) -> None:
-        meta = json.loads((folder / "meta.json").read_text())
-        self.dim, self.discrete, self.drawn = meta["dim"], meta["discrete"], meta.get("drawn", False)
-        self.values = np.load(folder / "values.npy", mmap_mode="r")
-        keys = np.load(folder / "keys.npy")
-        self.offsets = np.load(folder / "offsets.npy")
+        meta = read_json(folder / "meta.json", META, fix=FIX)
+        self.dim, self.discrete, self.drawn = meta["dim"], meta["discrete"], bool(meta.get("drawn"))
+        kind = np.dtype(np.int32 if self.discrete else np.float32)
+        self.values = map_npy(folder / "values.npy", Wanted(kind, (None, self.dim)), fix=FIX)
+        keys = read_npy(folder / "keys.npy", Wanted(np.dtype(np.int64), (None, 3)), fix=FIX)
+        self.offsets = read_npy(folder / "offsets.npy", Wanted(np.dtype(np.int64), (len(keys) + 1,)), fix=FIX)
+        if self.offsets[0] != 0 or self.offsets[-1] != len(self.values) or (np.diff(self.offsets) < 0).any():
+            raise refuse(folder / "offsets.npy", f"does not divide the {len(self.values)} latents", FIX)
         self.rows = {tuple(key): i for i, key in enumerate(keys.tolist())}
 
     def __call__(
@@ -66,11 +80,16 @@ class LatentCache:
     ) -> LatentCache:
         """Encode all crops of the data sets once, in a fixed order; the caller holds the tokenizer run's lock.
 
-        An interrupted attempt is thrown away by the next.
+        An interrupted attempt is thrown away by the next, and so is a cache that is damaged.
         """
-        if not folder.exists():
-            with new_folder(folder, sole=True) as staging:
-                cls._write(staging, tokenizer, clips, device)
+        if folder.exists():
+            try:
+                return cls(folder)
+            except (DamagedError, FileNotFoundError) as error:
+                console.print(f"[yellow]note[/]      {escape(str(error))}")
+                shutil.rmtree(folder)  # who reads it still has the old files open
+        with new_folder(folder, sole=True) as staging:
+            cls._write(staging, tokenizer, clips, device)
         return cls(folder)
 
     @staticmethod
@@ -99,6 +118,7 @@ class LatentCache:
             if values is None:
                 shape, kind = (int(offsets[-1]), encoded.shape[-1]), np.int32 if discrete else np.float32
                 values = np.lib.format.open_memmap(folder / "values.npy", "w+", kind, shape)
+                _claim(folder / "values.npy")
             for i, row in zip(chunk, encoded, strict=True):
                 values[offsets[i] : offsets[i + 1]] = row
             start += len(chunk)
@@ -114,6 +134,13 @@ class LatentCache:
             "crops": len(crops),
         }
         (folder / "meta.json").write_text(json.dumps(meta))
+
+
+def _claim(file: Path) -> None:
+    """Take a mapped file's room at once: on a full disk, writing to the map would end the process without a word."""
+    if sys.platform == "linux":
+        with file.open("r+b") as opened:
+            os.posix_fallocate(opened.fileno(), 0, file.stat().st_size)
 
 
 class EncodeEachTime:

@@ -8,8 +8,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from kinema.atomic import write_text
+from kinema.files.json import NUMBER
 from kinema.runs.lines import append_line, read_lines
 from kinema.training.dashboards import Dashboard
+
+LINE = {"step": int, "seconds": NUMBER | None}
+"""What a line of metrics.jsonl holds, beside its numbers."""
 
 
 class Record:
@@ -57,7 +61,7 @@ class Record:
 
     def rewind(self, step: int) -> None:
         """Go back to a step: the lines and samples of later ones are dropped, the others shown."""
-        lines = [line for line in read_lines(self.path) if line["step"] <= step]
+        lines = [line for line in read_lines(self.path, LINE) if line["step"] <= step]
         write_text(self.path, "".join(json.dumps(line, sort_keys=True) + "\n" for line in lines))
         for path in self.samples():
             if _step(path) > step:
@@ -70,7 +74,7 @@ class Record:
         if not self.dashboards:
             return
         samples = self.samples()
-        for line in sorted(read_lines(self.path), key=lambda line: line["step"]):
+        for line in sorted(read_lines(self.path, LINE), key=lambda line: line["step"]):
             while samples and _step(samples[0]) < line["step"]:
                 self.show(samples.pop(0))
             values = {key: value for key, value in line.items() if key not in ("step", "seconds")}

@@ -56,6 +56,7 @@ class Patient:
 def from_store(path: Path, index: dict[str, Origin], slips: Sequence[Slip] = ()) -> Patient:
     """See a packed store; what `index` tells of a clip by its unmirrored name comes before what the store does."""
     store = PackedStore.open(path)
+    store.verify()
     captions: list[list[Caption]] = [[] for _ in range(store.num_clips)]
     for entry, clip in enumerate(store.entries["clip"]):
         captions[clip] += store.entry_captions(entry)

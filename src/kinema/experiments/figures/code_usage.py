@@ -8,11 +8,11 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.markup import escape
 
 from kinema.atomic import replacing, write_json, write_text
@@ -22,6 +22,7 @@ from kinema.data.datasets import Item
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation.metrics.code_usage import CodeUsage
+from kinema.experiments.config import read_config
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import read_model
 from kinema.motion.view.draw import new_figure
@@ -35,6 +36,14 @@ if TYPE_CHECKING:
 
 BATCH = 64
 DIMS = ("redundant", "essential")
+CONFIG = {
+    "tokenizer": {"name": str},
+    "seed": int,
+    "scale": {"name": str},
+    "data": {"name": str, "reader": str, "skeleton": str, "options": dict},
+    "paths": {"stores": str},
+}
+"""What is read of a run's configuration."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -177,4 +186,4 @@ def _read(run: Path) -> tuple[MotionTokenizer, DictConfig]:
     tokenizer = read_model(run, TOKENIZER)
     if tokenizer.space.kind != "codes":
         raise ValueError(f"{run} holds {type(tokenizer).__name__}, which has no codes; give a tokenizer of codes")
-    return tokenizer, cast(DictConfig, OmegaConf.load(run / "config.yaml"))
+    return tokenizer, read_config(run, CONFIG)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from kinema.files.checkpoints import read_safetensors
+from kinema.files.json import read_json
 from kinema.generators.motiongpt.words import find_file
 from kinema.text.files import require
 
@@ -90,18 +89,18 @@ class LanguageModel(nn.Module):
 
         Raises FileNotFoundError without its files, ValueError for a model of another size or kind.
         """
-        self._check(source, json.loads(find_file(source, "config.json", "weights").read_text(encoding="utf-8")))
+        self._check(source, read_json(find_file(source, "config.json", "weights")))
         file = find_file(source, "model.safetensors", "weights")
         # Files repeat the words per stack; old ones hold a bias of the cross-attention that T5 doesn't have.
         left_out = ("embed_tokens.weight", "block.0.layer.1.EncDecAttention.relative_attention_bias.weight")
         try:
-            state = load_file(file)
+            state, _ = read_safetensors(file)
             for name in ("encoder", "decoder"):
                 own = {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
                 getattr(self, name).load_state_dict({k: v for k, v in own.items() if k not in left_out})
             fill(self.embedding.weight, state["shared.weight"], self.words)
             fill(self.head.weight, state["lm_head.weight"], self.words - self.first_class)
-        except (SafetensorError, RuntimeError, KeyError) as error:
+        except (RuntimeError, KeyError) as error:
             raise ValueError(f"the weights in {source!r} are not those of a flan-t5: {error}") from None
 
     def _check(self, source: str, config: dict[str, Any]) -> None:

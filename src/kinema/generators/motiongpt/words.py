@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Int, UInt8
 from torch import Tensor, nn
 
+from kinema.files.text import read_text
 from kinema.text.files import INSTALL, minilm_folder, require
 from kinema.types import frame_mask
 
@@ -39,7 +40,7 @@ class Words(nn.Module):
         if self._tokenizer is None:
             name = "tokenizer.json"
             file = minilm_folder() / name if self.source == MINILM else find_file(self.source, name, "vocabulary")
-            self._tokenizer = self._prepare(file.read_text(encoding="utf-8"))
+            self._tokenizer = self._prepare(read_text(file))
         return self._tokenizer
 
     def forward(self, texts: list[str], device: torch.device) -> tuple[Int[Tensor, "b l"], Bool[Tensor, "b l"]]:

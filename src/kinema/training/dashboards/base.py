@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +9,8 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+
+from kinema.files.json import Each, read_json
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Dashboard:
     def show(self, step: int, name: str, path: Path) -> None:
         """Show a file at a step: a page, a film, or counts by class."""
         if path.suffix == ".json":
-            for key, counts in json.loads(path.read_text()).items():
+            for key, counts in read_json(path, Each(list)).items():
                 self.histogram(step, f"{name}/{key}", np.array(counts))
         else:
             {".html": self.page, ".mp4": self.film}[path.suffix](step, name, path)
