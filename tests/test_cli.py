@@ -182,20 +182,19 @@ def test_keyframes_are_widened_to_latents_and_said(run, capsys):
     assert "kept frames 0:4, 36:40" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("width", [4 + 21 * 3 - 1, 67, 100, 263])
+@pytest.mark.parametrize("width", [67, 100, 263])
 def test_a_motion_with_narrower_rows_has_as_many_frames_and_stays_in_its_place(tmp_path, run, width):
     """A model of redundant dims reads 263 columns."""
     make = ["generate", "a person walks", "--run", str(run), "--frames", "40", "--seed", "3", *FAST]
     assert cli.main([*make, "--out", "walk.npz"]) == 0
     walk = load_npz("walk.npz")
     rows = np.zeros((40, width), np.float32)
-    rows[:, : min(width, 67)] = walk.features[:, : min(width, 67)]
+    rows[:, :67] = walk.features
     save_npz(replace(walk, features=rows, joints=walk.joints + np.float32([5, 0, 1])), "moved.npz")
     read = read_recording("moved.npz").motion(HUMANML3D, 263)
     assert read.features.shape == (40, 263)
     assert np.array_equal(read.joints, walk.joints + np.float32([5, 0, 1]))
-    if width >= 67:
-        assert np.array_equal(read.features[:, :67], walk.features)
+    assert np.array_equal(read.features[:, :67], walk.features)
 
 
 def test_prepare_gives_a_store_that_opens(tmp_path, capsys):
