@@ -14,7 +14,6 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "Acclaim": 0.0254 / 0.
 HEIGHTS = (1.0, 2.3)
 """Metres: bodies outside are taken for another unit."""
 USUAL_HEIGHT = 1.7
-AXES = ("x", "y", "z", "-x", "-y", "-z")
 CLEAR = 0.7
 """Cosine from which the way from the pelvis to the head tells an axis."""
 
@@ -62,19 +61,3 @@ def find_up(
         if abs(way[axis]) >= CLEAR:
             return ("" if way[axis] > 0 else "-") + "xyz"[axis]
     raise ValueError(f"{source}: no axis is clearly up, the body never stands; give it with --up y, --up z, ...")
-
-
-def upright(positions: Float[np.ndarray, "t j 3"], up: str) -> Float[np.ndarray, "t j 3"]:
-    """Turn positions so that `up` becomes +Y: a rotation, so that left stays left."""
-    if up not in AXES:
-        raise ValueError(f"up={up!r} must be one of {', '.join(AXES)}")
-    x, y, z = np.moveaxis(positions, -1, 0)
-    turned = {
-        "x": (-y, x, z),
-        "y": (x, y, z),
-        "z": (x, z, -y),
-        "-x": (y, -x, z),
-        "-y": (-x, -y, z),
-        "-z": (x, -z, y),
-    }[up]
-    return np.stack(turned, axis=-1)

@@ -13,7 +13,8 @@ from kinema.motion.captures.asf import read_amc
 from kinema.motion.captures.bvh import read_bvh
 from kinema.motion.captures.capture import Capture, usual_rate
 from kinema.motion.captures.mapping import JointMapping, find_mapping
-from kinema.motion.captures.orientation import body_height, find_scale, find_up, upright
+from kinema.motion.captures.orientation import body_height, find_scale, find_up
+from kinema.motion.convention import Convention
 from kinema.motion.skeleton import HUMANML3D, Skeleton
 
 READERS: dict[str, Callable[[Path], Capture]] = {".bvh": read_bvh, ".amc": read_amc}
@@ -88,7 +89,7 @@ def captured_joints(
     positions = np.einsum("js,tsc->tjc", weights, replace(kept, fps=rate).at(skeleton.fps).positions)
     found = up or find_up(positions, rest, skeleton, source)
     factor = scale or mapping.scale or find_scale(positions, skeleton, source)
-    joints = upright(positions, found) * factor
+    joints = Convention(up=found).apply(positions, skeleton) * factor
     height = body_height(joints, skeleton) * skeleton.meters
     guessed = scale is None and mapping.scale is None
     return joints, Understood(mapping.title, factor, guessed, found, rate, skipped, height)
