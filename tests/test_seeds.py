@@ -33,7 +33,7 @@ def test_item_seeds_differ_by_seed_epoch_and_item():
 
 @pytest.mark.parametrize("seed", [-1, 2**63])
 def test_a_seed_that_torch_cannot_take_is_refused(seed):
-    with pytest.raises(ValueError, match=rf"seed {seed} is out of range"):
+    with pytest.raises(ValueError, match=rf"seed={seed}: must be a whole number"):
         seeds.request_seeds(seed, 2)
 
 

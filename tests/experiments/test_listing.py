@@ -41,9 +41,8 @@ def score(root: Path, run: str, *fids: float) -> RunFolder:
     folder = make(root, "evaluation/generation-mardm_sit-tiny-s0-0123456789ab", "done" if len(fids) == 3 else "failed")
     for i, fid in enumerate(fids):
         provenance = {"runs": {"generator": run}, "corpus": {"name": "own"}}
-        append_line(
-            folder.path / "replications.jsonl", {"replication": i, "metrics": {"fid": fid}, "provenance": provenance}
-        )
+        line = {"replication": i, "metrics": {"fid": fid}, "breakdowns": {}, "provenance": provenance, "seconds": 1.0}
+        append_line(folder.path / "replications.jsonl", line)
     return folder
 
 

@@ -206,26 +206,26 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro_tables, 
 
 @pytest.mark.slow
 def test_a_job_that_fails_is_named_and_its_rows_say_why(table, micro_tables, tmp_path):
-    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
+    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.lr=1e30"]
     small = {**table, "rows": [row for row in table["rows"] if row["key"] in ("real", "shuffled")]}
     patch = pytest.MonkeyPatch()
     patch.setattr(reproduce, "load_table", lambda name: dict(small))
-    with pytest.raises(OSError, match=r"`kinema train stage=\w+ .*` failed: .*100000"):
+    with pytest.raises(OSError, match=r"`kinema train stage=\w+ .*` failed: .*diverged"):
         reproduce.reproduce("table5", wrong, jobs=1, out=tmp_path / "report")
     patch.undo()
     shown = (tmp_path / "report/table.md").read_text()
     assert "Real motion with shuffled captions: failed: " in shown
-    assert "100000" in shown
+    assert "diverged" in shown
 
 
 @pytest.mark.slow
 def test_a_multirun_that_fails_leaves_out_what_waits_for_it(table, micro_tables, tmp_path, capfd):
-    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.batch_size=100000"]
+    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.lr=1e30"]
     rows = plan({**table, "rows": [row for row in table["rows"] if row["key"] in ("real", "shuffled")]}, wrong)
     with pytest.raises(JobsFailedError) as failure:
         run_multiruns(missing_jobs(rows), wrong)
     assert [job.overrides[0] for job in failure.value.failed] == ["stage=decomposition"]
-    assert "100000" in str(failure.value)
+    assert "diverged" in str(failure.value)
     assert [job.overrides[0] for job in failure.value.left_out] == ["stage=matching", "source=real", "source=shuffled"]
     assert any((tmp_path / "runs/contrastive").glob("*/weights.safetensors"))  # of the same step: it was made
     said = capfd.readouterr().out

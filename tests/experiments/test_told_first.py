@@ -31,8 +31,8 @@ WRONG = [
     ("evaluate", ["generator.sampling._target_=kinema.generators.mar.X"], UNMARKED),
     ("evaluate", ["evaluator.matching.model._target_=kinema.X"], UNMARKED),
     ("evaluate", ["evaluator.decomposition.model._target_=kinema.X"], UNMARKED),
-    ("evaluate", ["evaluator.words=nope"], "unknown word vectors 'nope'"),
-    ("evaluate", ["evaluator.tokens=nope"], "unknown token table 'nope'"),
+    ("evaluate", ["evaluator.words=nope"], "evaluator.words=nope: must be one of"),
+    ("evaluate", ["evaluator.tokens=nope"], "evaluator.tokens=nope: must be one of"),
     ("evaluate", ["evaluator.words=our_vab", "evaluator.words_path=/nowhere"], "/nowhere"),
     ("evaluate", ["source=real", "evaluator.tokens=clip_b16", "evaluator.tokens_path=/nowhere"], "/nowhere"),
 ]

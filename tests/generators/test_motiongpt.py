@@ -384,11 +384,11 @@ def test_weights_of_another_size_are_refused(flan, change, message):
     [
         ("config.json", {"feed_forward_proj": "relu"}, "feed_forward_proj='relu'.*take a flan-t5"),
         ("config.json", {"scale_decoder_outputs": True}, "scale_decoder_outputs=True"),
-        ("model.safetensors", {"lm_head.weight": None}, "not those of a flan-t5.*lm_head"),
+        ("model.safetensors", {"lm_head.weight": None}, "cannot be read.*lm_head"),
         (
             "model.safetensors",
             {"encoder.final_layer_norm.weight": None},
-            "(?s)not those of a flan-t5.*layer_norm",
+            "(?s)cannot be read.*layer_norm",
         ),
     ],
 )
@@ -407,7 +407,7 @@ def test_weights_of_another_kind_are_refused(flan, tmp_path, file, change, messa
 def test_truncated_weights_are_refused(flan, tmp_path):
     for name in ("config.json", "model.safetensors", "tokenizer.json"):
         (tmp_path / name).write_bytes((flan / name).read_bytes()[:4000])
-    with pytest.raises(ValueError, match="not those of a flan-t5"):
+    with pytest.raises(ValueError, match="cannot be read"):
         MotionGPT(**arguments(tmp_path, weights=str(tmp_path))).load_pretrained()
 
 

@@ -84,9 +84,9 @@ def test_lengths_in_seconds_or_from_the_text(model):
         ({"frames": 40, "seconds": 2.0}, "give one of them"),
         ({"frames": [40, 40]}, "2 lengths for 1 texts"),
         ({"guidence": 3}, "unknown sampling field 'guidence'; allowed: steps, guidance"),
-        ({"steps": 0}, "steps is 0"),
-        ({"seed": -1}, "seed -1 is out of range"),
-        ({"batch_size": 0}, "batch_size is 0"),
+        ({"steps": 0}, "sampling.steps=0: must be a whole number"),
+        ({"seed": -1}, "seed=-1: must be a whole number"),
+        ({"batch_size": 0}, "batch_size=0: must be a whole number"),
     ],
 )
 def test_bad_requests_are_named(model, arguments, message):
@@ -95,7 +95,7 @@ def test_bad_requests_are_named(model, arguments, message):
 
 
 def test_a_part_of_a_frame_is_refused():
-    with pytest.raises(ValueError, match=r"frames=40\.5 is no whole number"):
+    with pytest.raises(ValueError, match=r"frames=40\.5: must be a whole number"):
         frame_counts(40.5, None, 1, fps=20, maximum=196)
 
 

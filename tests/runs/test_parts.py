@@ -93,7 +93,7 @@ def test_parts_in_the_folder_and_in_its_tree_are_followed(tmp_path, part):
 @pytest.mark.parametrize("value", [None, 3, True, ["a"], {"a": "b"}])
 def test_values_of_another_type_are_named(tmp_path, value):
     write_json(tmp_path / "upstream.json", {"tokenizer": value})
-    with pytest.raises(ValueError, match=r"upstream\.json says tokenizer=.*, no folder of a run"):
+    with pytest.raises(ValueError, match=r"upstream\.json has 'tokenizer': it holds .*, allowed: a text"):
         upstream(tmp_path)
     write_json(tmp_path / "text.json", {"encoder": value, "path": None})
     with pytest.raises(ValueError, match=r"text\.json says encoder="):

@@ -140,5 +140,5 @@ def test_bad_input_is_named():
         make(layers=0)
     with pytest.raises(ValueError, match=r"BodyPartEncoder.skeleton=dog: must be one of humanml3d, kit"):
         make(skeleton="dog")
-    with pytest.raises(ValueError, match="unknown representation 'full'"):
+    with pytest.raises(ValueError, match="kind=full: must be one of"):
         make("full")

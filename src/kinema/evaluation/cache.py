@@ -48,7 +48,7 @@ class Shelf:
         self._known: dict[str, np.ndarray] = {}
         if path is not None and path.is_file():
             try:
-                self._known = read_npz(path, Wanted("f", (None, None)), fix="it is computed anew")
+                self._known = read_npz(path, Wanted("f"), fix="it is computed anew")
             except DamagedError as error:
                 console.print(f"[yellow]note[/]      {error!s}")
 

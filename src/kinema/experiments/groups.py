@@ -31,7 +31,7 @@ class Data(Options):
     reader: Annotated[str, OneOf(READERS)]
     source: str | None
     skeleton: Annotated[str, OneOf(SKELETONS)]
-    fps: Positive
+    fps: Positive | None
     mirror: bool
     options: dict[str, Any]
     workers: Annotated[int, Interval(ge=0, le=1024)]

@@ -36,8 +36,8 @@ def check_spec(spec: Any, state: Mapping[str, Tensor], path: Path) -> None:
         ) from None
     if not isinstance(module, nn.Module):
         raise ValueError(f"the spec in {path} describes {type(module).__name__}, not a module; write it again")
-    wanted = module.state_dict()
-    for key in sorted(wanted.keys() | state.keys()):
+    wanted = _saved(module)
+    for key in sorted(wanted.keys() | {key for key in state if not key.endswith("_extra_state")}):
         here, there = wanted.get(key), state.get(key)
         if here is None or there is None or here.shape != there.shape:
             raise ValueError(
@@ -47,6 +47,15 @@ def check_spec(spec: Any, state: Mapping[str, Tensor], path: Path) -> None:
     computed = sum(buffer.numel() for name, buffer in module.named_buffers() if name not in wanted)
     if computed > MOST_BUFFERS:
         raise ValueError(f"the spec in {path} asks for buffers of {computed:,} numbers, more than {MOST_BUFFERS:,}")
+
+
+def _saved(module: nn.Module) -> dict[str, Tensor]:
+    """Return the tensors that a module saves; what it writes about itself is left out, since it may have to be read."""
+    found = {}
+    for place, part in module.named_modules(remove_duplicate=False):
+        own = part._parameters | {k: v for k, v in part._buffers.items() if k not in part._non_persistent_buffers_set}
+        found |= {f"{place}.{name}".lstrip("."): tensor for name, tensor in own.items() if tensor is not None}
+    return found
 
 
 def _shape(tensor: Tensor | None) -> str:

@@ -60,7 +60,7 @@ class FiniteScalarQuantizer(nn.Module):
     @property
     def codebook(self) -> Float[Tensor, "k d"]:
         """The code vectors, computed anew: the output projection of all combinations."""
-        device = self.counts.device
+        device = next(self.fsq.buffers()).device
         return self.fsq.indices_to_codes(torch.arange(self.codebook_size, device=device)).detach()
 
     @property

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from torch import Tensor
 from kinema.atomic import replacing, write_text
 from kinema.generators.bad.model import BAD
 from kinema.generators.bad.sampling import BadSampling
-from kinema.masking import hybrid_mask
+from kinema.masking import SLOTS, hybrid_mask
 from kinema.motion.view.draw import INK, MUTED, STAGE, new_figure
 from kinema.types import Latents, TextFeatures
 
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TOKENS, STEPS = 6, 4
+PACE = round(STEPS * SLOTS / TOKENS)
+"""Steps of a motion of the full length, so that a short one has `STEPS`."""
 SEEN, SEEN_MASK, HIDDEN = "#2a6fe0", "#e2662a", "#e3e8ee"
 LEGEND = ((SEEN, "sees it"), (SEEN_MASK, "sees it, a mask token"), (HIDDEN, "does not see it"))
 
@@ -89,11 +92,12 @@ def training(model: BAD, steps: int = 3) -> list[Panel]:
 def oaas(model: BAD, official: bool) -> list[Panel]:
     """Record every step of OAAS; a batch of two, since the published sampler stops early for one."""
     text, seeds = TextFeatures(["", ""], torch.zeros(2, 8)), torch.tensor([0, 1])
-    sampling = BadSampling(steps=STEPS, official_inference_mask=official)
+    sampling = BadSampling(steps=PACE, official_inference_mask=official)
     panels, given = [], []
     hook = model.transformer.register_forward_pre_hook(lambda module, inputs: given.append(inputs[0][0]))
     frames = torch.tensor([4 * TOKENS, 4 * TOKENS])
-    for i, (_, visible, _) in enumerate(model.trajectory(text, frames, seeds=seeds, sampling=sampling)):
+    steps = model.trajectory(text, frames, seeds=seeds, sampling=sampling)
+    for i, (_, visible, _) in enumerate(islice(steps, STEPS)):
         masked = given[-1] >= model.first_mask
         panels.append(panel(f"step {i + 1}", visible[0], given[-1] - model.first_mask, masked, TOKENS))
     hook.remove()
