@@ -75,7 +75,7 @@ def find_mapping(names: tuple[str, ...], source: Path) -> JointMapping:
     raise ValueError(
         f"{source} has joints of no known skeleton ({', '.join(known)}); nearest is {nearest}, which needs "
         f"{', '.join(lacking[:SHOWN])} too. It has {', '.join(names[:SHOWN])}{more}; give a mapping of your own: "
-        "--mapping FILE.yaml (docs/own_motion.md)"
+        "mapping=read_mapping(FILE)"
     )
 
 

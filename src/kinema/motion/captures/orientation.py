@@ -41,7 +41,7 @@ def find_scale(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton, source: P
     if not HEIGHTS[0] <= height * UNITS[unit] <= HEIGHTS[1]:
         raise ValueError(
             f"{source}: the body is {height:.4g} units tall, which is no human in {', '.join(UNITS)}; give the "
-            "metres per unit with --scale"
+            "metres per unit with scale="
         )
     return UNITS[unit] / skeleton.meters
 
@@ -61,7 +61,7 @@ def find_up(
         axis = int(np.argmax(np.abs(way)))
         if abs(way[axis]) >= CLEAR:
             return ("" if way[axis] > 0 else "-") + "xyz"[axis]
-    raise ValueError(f"{source}: no axis is clearly up, the body never stands; give it with --up y, --up z, ...")
+    raise ValueError(f"{source}: no axis is clearly up, the body never stands; give it with up="y", up="z", ...")
 
 
 def upright(positions: Float[np.ndarray, "t j 3"], up: str) -> Float[np.ndarray, "t j 3"]:
