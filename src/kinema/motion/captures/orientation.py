@@ -61,7 +61,7 @@ def find_up(
         axis = int(np.argmax(np.abs(way)))
         if abs(way[axis]) >= CLEAR:
             return ("" if way[axis] > 0 else "-") + "xyz"[axis]
-    raise ValueError(f"{source}: no axis is clearly up, the body never stands; give it with up="y", up="z", ...")
+    raise ValueError(f"{source}: no axis is clearly up, the body never stands; give it with up=y, up=z, ...")
 
 
 def upright(positions: Float[np.ndarray, "t j 3"], up: str) -> Float[np.ndarray, "t j 3"]:
