@@ -39,7 +39,7 @@ def test_the_recipe_names_all_clips_their_files_and_splits():
     assert splits == [2236, 155, 426, 1681, 476, 660]
     by_name = {clip.name: clip for clip in recipe}
     assert by_name["cmuacrnn_indian_06_s1"].file == "indian/06.bvh"
-    assert by_name["cmuacrnn_indian_06_s1"].start == 180
+    assert by_name["cmuacrnn_indian_06_s1"].origin.start == 180
     assert by_name["hdm05_HDM_bd_depositFloorR_001_120"].file == "hdm_bd_depositfloorr_001_120.amc"
 
 

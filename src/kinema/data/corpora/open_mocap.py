@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import lzma
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
@@ -21,14 +20,13 @@ from jaxtyping import Float
 
 from kinema.atomic import replacing, write_json, write_text
 from kinema.data.catalog import SPLITS
+from kinema.data.origin import Origin, named_origin
 from kinema.motion.captures.mapping import JointMapping, known_mappings
 from kinema.motion.captures.reading import read_capture
 from kinema.motion.resampling import resampled
 from kinema.motion.skeleton import HUMANML3D
 
 RECIPE = Path(__file__).with_name("open_mocap.jsonl.xz")
-PIECE = 180
-"""Frames at 20 fps from the start of one piece of a long take to the start of the next."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +71,14 @@ class Recipe:
         return SOURCES[self.source]
 
     @cached_property
-    def take(self) -> str:
-        """The name without the piece's number."""
-        return re.sub(r"_s\d+$", "", self.name)
-
-    @property
-    def start(self) -> int:
-        """The first frame of the piece, at 20 fps."""
-        piece = re.search(r"_s(\d+)$", self.name)
-        return PIECE * int(piece[1]) if piece else 0
+    def origin(self) -> Origin:
+        """The take that it is a piece of, by name, and the piece's first frame at 20 fps."""
+        return named_origin(self.name)
 
     @property
     def file(self) -> str:
         """The end of the path of its capture, in small letters: `02_01.amc`, `indian/06.bvh`."""
-        stem = self.take.removeprefix(self.kind.prefix)
+        stem = self.origin.take.removeprefix(self.kind.prefix)
         return (stem.replace("_", "/") if self.kind.foldered else stem).lower() + self.kind.suffix
 
     @property
@@ -154,7 +146,7 @@ def rebuild(
     files = {owner: _files(folders.get(owner, [])) for owner in OWNERS}
     takes: dict[str, list[Recipe]] = {}
     for clip in recipe:
-        takes.setdefault(clip.take, []).append(clip)
+        takes.setdefault(clip.origin.take, []).append(clip)
     jobs = [(clips, _found(files[clips[0].kind.owner], clips[0].file), out) for clips in takes.values()]
     if not any(found for _, found, _ in jobs):
         given = ", ".join(str(folder) for owner in OWNERS for folder in folders.get(owner, [])) or "no folder"
@@ -213,9 +205,11 @@ def _make(job: tuple[list[Recipe], list[Path], Path]) -> dict[str, str]:
             continue
         missing = {}
         for clip in clips:
-            piece = joints[clip.start : clip.start + clip.frames]
+            piece = joints[clip.origin.start : clip.origin.start + clip.frames]
             if len(piece) < clip.frames:
-                missing[clip.name] = f"{path} has {len(joints)} frames at 20 fps; {clip.start + clip.frames} are needed"
+                missing[clip.name] = (
+                    f"{path} has {len(joints)} frames at 20 fps; {clip.origin.start + clip.frames} are needed"
+                )
                 continue
             with replacing(_array(clip, out)) as temporary, temporary.open("wb") as file:
                 np.save(file, piece.astype(np.float32), allow_pickle=False)
