@@ -110,6 +110,10 @@ class Browser:
             time.sleep(0.02)
         raise AssertionError(f"never true: {expression}; the page complained of {self.complaints}")
 
+    def drawn(self) -> None:
+        """Wait until the page has drawn what was asked of it before: two frames, for one may be half-way."""
+        self.js("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
     def press(self, key: str) -> None:
         """Press and release a key of the keyboard."""
         code = {"Enter": 13, " ": 32, "Tab": 9, "ArrowRight": 39, "ArrowLeft": 37}[key]
