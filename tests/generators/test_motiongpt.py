@@ -384,11 +384,11 @@ def test_weights_of_another_size_are_refused(flan, change, message):
     [
         ("config.json", {"feed_forward_proj": "relu"}, "feed_forward_proj='relu'.*take a flan-t5"),
         ("config.json", {"scale_decoder_outputs": True}, "scale_decoder_outputs=True"),
-        ("model.safetensors", {"lm_head.weight": None}, "cannot be read.*lm_head"),
+        ("model.safetensors", {"lm_head.weight": None}, "not those of a flan-t5.*lm_head"),
         (
             "model.safetensors",
             {"encoder.final_layer_norm.weight": None},
-            "(?s)cannot be read.*layer_norm",
+            "(?s)not those of a flan-t5.*layer_norm",
         ),
     ],
 )

@@ -47,10 +47,34 @@ def test_the_kept_part_behind_an_edit_is_moved_rigidly(model, motions):
 
 def test_the_raw_decoding_touches_all_rows(model, motions):
     raw = model.edit(motions, "someone waves", [(8, 16)], seed=2, paste=False)
-    pasted = model.edit(motions, "someone waves", [(8, 16)], seed=2)
+    pasted = model.edit(motions, "someone waves", [(8, 16)], seed=2, blend=0)
     for source, one, other in zip(motions, raw, pasted, strict=True):
         assert np.abs(one.features[20:] - source.features[20:]).max() > 1e-3
         np.testing.assert_allclose(one.features[8:16], other.features[8:16], atol=1e-5)
+
+
+@pytest.mark.parametrize("frames", [[(20, 40)], [(0, 20)], [(30, 60)], [(28, 32)], [(12, 28), (32, 60)]])
+def test_new_frames_begin_where_kept_ones_end(model, motions, frames):
+    raw, side_by_side, blended = (
+        model.edit(motions[1], "someone waves", frames, seed=2, **how)[0]
+        for how in ({"paste": False}, {"blend": 0.0}, {})
+    )
+    kept = blended.kept
+    assert np.array_equal(blended.features[kept], motions[1].features[kept])
+    for seam in np.flatnonzero(kept[1:] != kept[:-1]) + 1:
+        step = raw.features[seam] - raw.features[seam - 1]
+        by_blending = blended.features[seam] - blended.features[seam - 1] - step
+        by_pasting = side_by_side.features[seam] - side_by_side.features[seam - 1] - step
+        assert np.abs(by_blending).max() < 0.3 * np.abs(by_pasting).max()
+    far = np.array([not kept[max(0, i - 8) : i + 9].any() for i in range(60)])
+    assert np.array_equal(blended.features[far], side_by_side.features[far])
+
+
+def test_no_frames_are_led_where_none_are_kept(model, motions):
+    whole, raw = (model.edit(motions, "someone waves", [(0, 38)], seed=2, **how) for how in ({}, {"paste": False}))
+    assert np.array_equal(whole[0].features, raw[0].features)
+    with pytest.raises(ValueError, match="blend=-1"):
+        model.edit(motions, "someone waves", "prefix", blend=-1)
 
 
 def test_an_edit_depends_on_its_seed_and_not_on_its_batch(model, motions):

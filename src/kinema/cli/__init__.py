@@ -60,6 +60,7 @@ KEEP_HELP = (
     f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
+BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 PROMPTS_HELP = (
     "file of prompts, one a line, in place of TEXT; `a person walks#120` says how many frames it has, others take "
     "--seconds or --frames, or an estimate"
@@ -154,6 +155,7 @@ def _parser() -> argparse.ArgumentParser:
     which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
     change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
+    change.add_argument("--blend", type=float, metavar="SECONDS", help=BLEND_HELP)
     _add_export(add("export", "write a motion in another format", "exporting:export"))
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)

@@ -79,6 +79,7 @@ def edit(options: argparse.Namespace) -> None:
         parts=options.parts,
         seed=options.seed,
         paste=not options.raw,
+        **({} if options.blend is None else {"blend": options.blend}),
         **options.set,
     )
     _write(made, files)

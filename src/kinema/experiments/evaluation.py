@@ -117,11 +117,6 @@ def unread(cfg: DictConfig) -> list[str]:
 
     They are part of a row's identity all the same: it is the same row with fewer metrics.
     """
-    optional = [stage.name for stage in judges().values() if stage.optional]
-    if not set(cfg.evaluator.unread) <= set(optional):
-        raise ValueError(
-            f"evaluator.unread={plain(cfg.evaluator.unread)}; it is a list of some of {', '.join(optional)}"
-        )
     return [name for name in cfg.evaluator.unread if get_stage(name).given(cfg) is None]
 
 

@@ -13,7 +13,7 @@ from kinema.data.synthetic.corpus import Clips
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import DIMS, EDITS, LENGTHS, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
 from kinema.experiments.dashboards import MODES
-from kinema.experiments.stages import stages
+from kinema.experiments.stages import judges, stages
 from kinema.motion.representation import VARIANTS
 from kinema.motion.skeleton import SKELETONS
 from kinema.options import Count, NonNegative, Number, OneOf, Options, Positive, Seed, Size, Threads, check, make
@@ -176,6 +176,7 @@ class Evaluator(Options):
     words_path: str | None
     tokens: Annotated[str, OneOf(tokens.KINDS)]
     tokens_path: str | None
+    unread: list[Annotated[str, OneOf([judge.name for judge in judges().values() if judge.optional])]]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import batches, check_sources, frame_counts, paired
+from kinema.pipeline.blending import BLEND, Seconds, put_back
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.editing import (
@@ -33,7 +34,6 @@ from kinema.pipeline.editing import (
     stack_sources,
     widened,
 )
-from kinema.pipeline.editing import paste as paste_kept
 from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept, encode_kept_features
 from kinema.runs.latest import find_run
@@ -217,6 +217,7 @@ class TextToMotion:
         seed: int | None = None,
         batch_size: int = 32,
         paste: bool = True,
+        blend: float = BLEND,
         **sampling: Any,
     ) -> list[Motion]:
         """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
@@ -225,14 +226,16 @@ class TextToMotion:
         only methods that generate frames can. A task's name says what stays: the first half, the second, both ends, the
         middle. Kept features come back bit-equal, and the motion stands and faces as its joints did; the root is
         integrated from the rows, so that what follows an edit moves on from where the edit ends. A kept stretch that
-        fills no latent is widened to those it touches. `paste=False` gives the raw decoding, as in the papers' tables.
-        Raises ValueError if neither is given, or if nothing is left to regenerate.
+        fills no latent is widened to those it touches. New frames begin where kept ones end: within `blend` seconds
+        they take over what the decoder misses of those (0: not). `paste=False` gives the raw decoding, as in tables.
+        Raises ValueError if neither is given, if nothing is left to regenerate, or for a negative `blend`.
         """
         motions, texts = paired(motions, texts)
         options = self.changed_sampling(sampling)
         check_sources(motions, self.tokenizer.representation, self.max_frames)
         if frames is None and parts is None:
             raise ValueError(f"nothing to regenerate: give frames, or parts= one of {', '.join(PARTS)}")
+        check_value(blend, Seconds, "blend")
         if parts is not None:
             self.tokenizer.space.in_frames("regenerating a part of the body")
         sizes = [len(m.features) for m in motions]
@@ -248,7 +251,7 @@ class TextToMotion:
                 keep, known = self._known(whole, counts.to(self.device), ranges[part], parts)
                 text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
                 batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
-                batch = paste_kept(batch, whole.features, keep) if paste else batch
+                batch = put_back(batch, whole.features, keep, self.skeleton, blend) if paste else batch
                 edited += self._motions(batch, texts[part], seeds[part], keep)
         return [in_place(made, source, self.skeleton) for made, source in zip(edited, motions, strict=True)]
 
