@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from kinema.experiments import entry, reproduce
+from kinema.experiments import entry, launching, reproduce
 from kinema.experiments import run as running
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import describe, run_evaluation, scored_lines, tell_means
@@ -191,7 +191,7 @@ def test_what_is_hydras_goes_to_the_multiruns_alone():
     ],
 )
 def test_a_launcher_that_there_is_not_is_told_before_anything_runs(words, told, how, micro, tmp_path, monkeypatch):
-    monkeypatch.setattr(reproduce, "run_multiruns", lambda *_: pytest.fail("something ran"))
+    monkeypatch.setattr(launching, "run_multiruns", lambda *_: pytest.fail("something ran"))
     with pytest.raises(SystemExit, match=f"^error: .*{re.escape(told)}"):
         reproduce.main(["table5", *micro, f"paths.runs={tmp_path}", *words, *how])
     assert not list(tmp_path.iterdir())
@@ -200,7 +200,7 @@ def test_a_launcher_that_there_is_not_is_told_before_anything_runs(words, told, 
 def test_slurm_that_is_not_here_is_one_line(micro, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(reproduce, "load_table", lambda name: small("real"))
-    monkeypatch.setattr(reproduce, "run_multiruns", lambda *_: pytest.fail("something ran"))
+    monkeypatch.setattr(launching, "run_multiruns", lambda *_: pytest.fail("something ran"))
     line = "^error: launcher=slurm: there is no srun here; "
     with pytest.raises(SystemExit, match=line):
         reproduce.main(["table5", *micro, f"paths.runs={tmp_path}/runs", "launcher=slurm"])

@@ -10,11 +10,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from kinema.experiments.config import compose, refuse_absent_slurm
+from kinema.experiments.config import compose
 from kinema.experiments.dashboards import show_page, show_table
 from kinema.experiments.identity import fingerprint
-from kinema.experiments.jobs import JobsFailedError, missing_jobs, processes, run_jobs
-from kinema.experiments.multirun import run_multiruns
+from kinema.experiments.jobs import JobsFailedError, missing_jobs
+from kinema.experiments.launching import run_missing
 from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.request import Request
@@ -115,17 +115,6 @@ def _tell_written(paths: list[Path], request: Request) -> None:
         console.print(f"wrote     {path}")
     if request.out is None:
         write_site("reports")
-
-
-def run_missing(rows: list[TableRow], own: list[str], request: Request) -> None:
-    """Run what is missing under the request's overrides and the table's own: here, or by the launcher they name."""
-    shared = [*request.shared, *own]
-    if request.launcher:
-        refuse_absent_slurm(request.launcher)
-        run_multiruns(missing_jobs(rows, replications=request.replications), [*shared, *request.launcher])
-        return
-    count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))
-    run_jobs(missing_jobs(rows, shared, request.replications), count)
 
 
 def total_seconds(rows: list[TableRow]) -> float:

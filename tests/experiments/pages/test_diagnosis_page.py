@@ -6,7 +6,7 @@ import csv
 
 import pytest
 
-from kinema.experiments import pages
+from kinema.experiments import launching, pages
 from kinema.experiments.pages import load_page
 from kinema.experiments.pages.sections import csv_text, markdown, pivot
 from kinema.experiments.reproduce import reproduce
@@ -54,9 +54,17 @@ def test_rendering_alone_trains_nothing_and_says_what_is_lacking(small, micro_ta
     assert {file.stem for file in (tmp_path / "page").glob("*.csv")} == {"x_t", "phi"}
 
 
-def test_a_launcher_is_refused(small, micro_tables):
-    with pytest.raises(ValueError, match="launcher=slurm: the diagnosis runs on this machine; train its runs with"):
-        reproduce("diagnosis", [*micro_tables, "launcher=slurm"])
+def test_what_it_trains_goes_to_the_launcher(small, micro_tables, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(launching, "refuse_absent_slurm", lambda words: None)
+    monkeypatch.setattr(launching, "run_multiruns", lambda jobs, words: asked.append((jobs, words)))
+    own = [*micro_tables, f"paths.runs={tmp_path}/runs"]
+    reproduce("diagnosis", [*own, "launcher=slurm"], out=tmp_path / "page")
+    ((jobs, words),) = asked
+    assert words == [*own, "launcher=slurm"]
+    stages = [job.overrides[0] for job in jobs]
+    assert stages.count("stage=generator") == len(small["generators"])
+    assert not {word for job in jobs for word in job.overrides} & set(own)  # multiruns give them to every job
 
 
 def test_tables_of_rows():

@@ -21,16 +21,13 @@ from kinema.training.machine import Machine
 
 def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Make the missing runs, measure, and write the page; `render_only` measures the runs that are there."""
-    _require_this_machine(request)
     overrides = request.shared
     cfg = compose(overrides)
     Machine(**plain(cfg.trainer)).limit_threads()
     store, split = PackedStore.open(open_corpus(cfg)), page["split"]
     require_captions(store, split)
     if not request.render_only:
-        make(
-            {TokenizerStage.name: page["tokenizers"], GeneratorStage.name: page["generators"]}, overrides, request.jobs
-        )
+        make({TokenizerStage.name: page["tokenizers"], GeneratorStage.name: page["generators"]}, request)
     real = read_motions(store, split, page["motions"])
     generators = finished(want(page["generators"], GeneratorStage.name, overrides))
     tokenizers = finished(want(page["tokenizers"], TokenizerStage.name, overrides))
@@ -57,10 +54,3 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
         "versions": versions(),
     }
     return write_page(page, sections, provenance, request.folder(cfg))
-
-
-def _require_this_machine(request: Request) -> None:
-    if request.launcher:
-        raise ValueError(
-            f"{request.launcher[0]}: the diagnosis runs on this machine; train its runs with kinema train -m ..."
-        )

@@ -16,7 +16,7 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Train the tokenizers that are missing, count their codes on the test split, and write the report."""
     shared, stage = request.shared, TokenizerStage.name
     if not request.render_only:
-        make({stage: page["tokenizers"]}, shared, request.jobs)
+        make({stage: page["tokenizers"]}, request)
     wanted = want(page["tokenizers"], stage, shared)
     found = [measure(one.run.path, "test", find_device(one.cfg.trainer.accelerator)) for one in finished(wanted)]
     return write_report(found, request.folder(wanted[0].cfg))

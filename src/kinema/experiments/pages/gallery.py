@@ -21,7 +21,7 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Train the generators that are missing, ask each, and write the page; `render_only` asks those that are there."""
     stage = GeneratorStage.name
     if not request.render_only:
-        make({stage: page["methods"]}, request.shared, request.jobs)
+        make({stage: page["methods"]}, request)
     wanted = want(page["methods"], stage, request.shared)
     asked = finished(wanted)
     motions = {one.label: answers(one, page["prompts"]) for one in asked}

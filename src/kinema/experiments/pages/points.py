@@ -6,7 +6,7 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from kinema.experiments.reproduce import run_missing
+from kinema.experiments.launching import run_missing
 from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, plan, provenance
 from kinema.runs.console import console

@@ -16,7 +16,9 @@ from kinema.devices import find_device
 from kinema.evaluation.sources import encode_captions
 from kinema.experiments import instantiate
 from kinema.experiments.config import compose, plain
-from kinema.experiments.jobs import missing_runs, processes, run_jobs
+from kinema.experiments.jobs import Job, missing_runs
+from kinema.experiments.launching import launch
+from kinema.experiments.request import Request
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.tokenizer import TokenizerStage
@@ -51,15 +53,19 @@ def want(specs: list[dict[str, Any]], stage: str, overrides: list[str]) -> list[
     return found
 
 
-def make(specs: dict[str, list[dict[str, Any]]], overrides: list[str], jobs: int | None) -> None:
-    """Train what is missing of the stages' runs, on this machine."""
-    wanted = [
-        (one.cfg, get_stage(stage), [*overrides, *_own(spec)])
+def make(specs: dict[str, list[dict[str, Any]]], request: Request) -> None:
+    """Train what is missing of the stages' runs."""
+    found = [
+        (one.cfg, get_stage(stage), _own(spec))
         for stage, some in specs.items()
-        for spec, one in zip(some, want(some, stage, overrides), strict=True)
+        for spec, one in zip(some, want(some, stage, request.shared), strict=True)
     ]
-    if lacking := missing_runs(wanted):
-        run_jobs(lacking, jobs or processes(wanted[0][0]))
+
+    def lacking(shared: list[str]) -> list[Job]:
+        return missing_runs([(cfg, stage, [*shared, *own]) for cfg, stage, own in found])
+
+    if lacking([]):
+        launch(lacking, request.shared, request, found[0][0])
 
 
 def finished(wanted: list[Wanted]) -> list[Wanted]:
