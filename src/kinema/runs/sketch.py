@@ -51,7 +51,7 @@ def check_spec(spec: Any, state: Mapping[str, Tensor], path: Path) -> None:
 
 def _saved(module: nn.Module) -> dict[str, Tensor]:
     """Return the tensors that a module saves; what it writes about itself is left out, since it may have to be read."""
-    found = {}
+    found: dict[str, Tensor] = {}
     for place, part in module.named_modules(remove_duplicate=False):
         own = part._parameters | {k: v for k, v in part._buffers.items() if k not in part._non_persistent_buffers_set}
         found |= {f"{place}.{name}".lstrip("."): tensor for name, tensor in own.items() if tensor is not None}
