@@ -127,7 +127,7 @@ def test_a_wrong_configuration_is_named_before_there_is_a_run(refused, arguments
 
 def test_what_does_not_fit_the_machine_or_the_corpus_is_named(refused):
     assert "/nowhere/clip" in refused("train.py", "text=clip_b32", "text.path=/nowhere/clip")
-    assert "set scale.protocol.leftover=keep" in refused("evaluate.py", "source=real", "scale.protocol.pool=100000")
+    assert "set scale.protocol.leftover=keep" in refused("evaluate.py", "source=real", "scale.protocol.pool=50000")
 
 
 def test_wrong_evaluations_are_named(refused, tmp_path):

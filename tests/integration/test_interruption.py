@@ -43,7 +43,12 @@ def start(*command: str, log: Path, cwd: Path = ROOT) -> subprocess.Popen:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     with log.open("w") as file:
         return subprocess.Popen(
-            [sys.executable, *command], cwd=cwd, stdout=file, stderr=subprocess.STDOUT, env=environment
+            [sys.executable, *command],
+            cwd=cwd,
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            start_new_session=True,
         )
 
 
@@ -52,7 +57,10 @@ def interrupt(process: subprocess.Popen, runs: Path, signum: int) -> int:
     while process.poll() is None and not list(runs.glob("tokenizer/*/checkpoints/last.ckpt")):
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.05)
-    process.send_signal(signum)
+    if signum == signal.SIGINT:
+        os.killpg(process.pid, signum)  # as a terminal does
+    else:
+        process.send_signal(signum)
     return process.wait(120)
 
 
@@ -151,11 +159,13 @@ def test_an_interrupted_job_of_a_sweep_is_the_last(overrides, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_table_that_is_interrupted_ends_its_processes_and_renders_nothing(overrides, tmp_path):
+@pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGINT])
+def test_a_table_that_is_interrupted_ends_its_processes_and_renders_nothing(signum, overrides, tmp_path):
+    """One of its two processes trains, the other has nothing to do."""
     (tmp_path / "table.py").write_text(TABLE)
     log = tmp_path / "log"
     process = start("table.py", *overrides, *ENDLESS, log=log, cwd=tmp_path)
-    assert interrupt(process, tmp_path / "runs", signal.SIGTERM) == 143, log.read_text()
+    assert interrupt(process, tmp_path / "runs", signum) == 128 + signum, log.read_text()
     said = log.read_text()
     assert re.search(r"^stopped .*interrupted at step \d+ of 1000000", said, re.MULTILINE), said
     assert "what is finished is kept" in said

@@ -5,11 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import shlex
+import signal
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
 
 from omegaconf import DictConfig
 
@@ -24,6 +27,8 @@ from kinema.runs.folder import RunFolder
 from kinema.signals import Interrupted, interruptible
 
 TRAIN, EVALUATE = "train", "evaluate"
+FAREWELL = 2.0
+"""Seconds in which an interrupted process hands on what it has to say."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,8 @@ def run_jobs(jobs: list[Job], count: int) -> None:
     failed: dict[Job, BaseException] = {}
     left_out: list[Job] = []
     # Spawned, not forked: torch's threads would not survive a fork.
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool, _ended_with_this_one():
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, spawn, initializer=_listen) as pool, _ended_with_this_one():
         while running or waiting:
             ready = [job for job in waiting if not job.reads & unfinished]
             for job in ready[: count - len(running)]:
@@ -190,6 +196,18 @@ def _ended_with_this_one() -> Iterator[None]:
         raise
 
 
+def _listen() -> None:
+    """Let this process of the pool be ended in order: one that died while it waits would hold the pool's lock."""
+    for signum in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(signum, _interrupt)
+
+
+def _interrupt(signum: int, _: FrameType | None) -> None:
+    for other in (signal.SIGTERM, signal.SIGINT):  # the pool may tell it again while a job is being ended
+        signal.signal(other, lambda *_: None)  # SIG_IGN complains of a signal that is under way
+    raise Interrupted(signum)
+
+
 def _waiting_for(job: Job, waiting: list[Job]) -> list[Job]:
     """Return the jobs that read what a job makes, and those that read what they make."""
     found: list[Job] = []
@@ -206,7 +224,17 @@ def _first_line(error: BaseException) -> str:
 
 def work(job: Job, *, quiet: bool) -> None:
     """Do one job in this process; `quiet`: without a progress bar, since others print too."""
-    bars = ["trainer.progress=none"] if quiet else []
+    try:
+        _work(job, ["trainer.progress=none"] if quiet else [])
+    except Interrupted as stop:
+        # A pool that has lost a process waits for the others and tells them nothing: once this is handed on, end.
+        leave = threading.Timer(FAREWELL, os._exit, (stop.code,))
+        leave.daemon = True
+        leave.start()
+        raise
+
+
+def _work(job: Job, bars: list[str]) -> None:
     with interruptible():
         cfg = compose([*bars, *job.overrides], job.command)
         refuse_processes(cfg, multirun=True)
