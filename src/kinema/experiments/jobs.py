@@ -198,14 +198,21 @@ def _ended_with_this_one() -> Iterator[None]:
 
 def _listen() -> None:
     """Let this process of the pool be ended in order: one that died while it waits would hold the pool's lock."""
+    told = _Once()
     for signum in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(signum, _interrupt)
+        signal.signal(signum, told)
 
 
-def _interrupt(signum: int, _: FrameType | None) -> None:
-    for other in (signal.SIGTERM, signal.SIGINT):  # the pool may tell it again while a job is being ended
-        signal.signal(other, lambda *_: None)  # SIG_IGN complains of a signal that is under way
-    raise Interrupted(signum)
+class _Once:
+    """Interrupt at the first signal; the pool and the terminal may send more while a job is being ended."""
+
+    def __init__(self) -> None:
+        self.came = False
+
+    def __call__(self, signum: int, _: FrameType | None) -> None:
+        if not self.came:
+            self.came = True
+            raise Interrupted(signum)
 
 
 def _waiting_for(job: Job, waiting: list[Job]) -> list[Job]:
