@@ -49,6 +49,7 @@ def start(*command: str, log: Path, cwd: Path = ROOT) -> subprocess.Popen:
             stderr=subprocess.STDOUT,
             env=environment,
             start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # shells ignore it in the background
         )
 
 
@@ -75,6 +76,7 @@ def test_training_says_where_it_was_interrupted_and_goes_on(signum, overrides, m
             os.kill(os.getpid(), signum)
 
     monkeypatch.setattr(Checkpoints, "on_train_batch_end", interrupted)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in the background
     name = signal.Signals(signum).name
     line = f"interrupted at step 12 of 24 ({name}); run the same command again to go on from step 10"
     with console.capture() as said, pytest.raises(Interrupted) as stop:

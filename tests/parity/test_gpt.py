@@ -75,7 +75,7 @@ def test_loss(golden_file):
 def test_export_gives_the_golden_state_again(golden):
     tensors, model = golden
     state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
-    model.space = replace(model.space, most=POSITIONS - gpt.FURTHER)
+    model.base_space = replace(model.base_space, most=POSITIONS - gpt.FURTHER)
     exported = gpt.export(model)
     assert set(exported) == set(state)
     for key in set(state) - {"trans_base.pos_embedding.weight"}:

@@ -96,5 +96,5 @@ def test_values_of_another_type_are_named(tmp_path, value):
     with pytest.raises(ValueError, match=r"upstream\.json has 'tokenizer': it holds .*, allowed: a text"):
         upstream(tmp_path)
     write_json(tmp_path / "text.json", {"encoder": value, "path": None})
-    with pytest.raises(ValueError, match=r"text\.json says encoder="):
+    with pytest.raises(ValueError, match=r"text\.json has 'encoder': it holds .*, allowed: a text"):
         read_text_encoder(tmp_path)

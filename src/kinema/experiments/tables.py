@@ -30,13 +30,15 @@ Results = dict[str, list[dict[str, Any]] | None]
 class TableRow:
     """Hold one row: its description, its configuration and where its results are (None: no such method yet).
 
-    A row of several training seeds is several of these, each with its `seed`; None is the caller's.
+    A row of several training seeds is several of these, each with its `seed`; None is the caller's. `failure` says what
+    kept it from being complete.
     """
 
     spec: dict[str, Any]
     cfg: DictConfig | None
     place: Row | None
     seed: int | None = None
+    failure: str | None = None
 
     @property
     def overrides(self) -> list[str]:
@@ -72,15 +74,12 @@ class TableRow:
         return self.place is not None and len(self.lines) == self.place.replications
 
     def explained(self, reasons: dict[Path, str]) -> TableRow:
-        """Return the row with what kept it from being complete in its note; `reasons` are by folder."""
+        """Return the row with what kept it from being complete; `reasons` are by folder."""
         if self.place is None or self.complete:
             return self
         paths = (self.place.folder.path, *self.place.runs.values())
         why = next((reasons[path] for path in paths if path in reasons), None)
-        if why is None:
-            return self
-        notes = [note for note in (self.spec.get("note"), f"failed: {why}") if note]
-        return replace(self, spec={**self.spec, "note": "; ".join(notes)})
+        return self if why is None else replace(self, failure=f"failed: {why}")
 
 
 Group = list[TableRow]
@@ -257,12 +256,12 @@ def _results(group: Group) -> list[dict[str, Any]] | None:
 
 def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:
     row, spec = group[0], group[0].spec
-    notes = [note for one in group if (note := one.spec.get("note", ""))]
+    notes = (*(one.spec.get("note") for one in group), *(one.failure for one in group), *_notes(row))
     return {
         "key": spec["key"],
         "label": spec["label"],
         "kind": spec["kind"],
-        "note": "; ".join(dict.fromkeys(note for note in (*notes, *_notes(row)) if note)),
+        "note": "; ".join(dict.fromkeys(note for note in notes if note)),
         "cannot": spec.get("cannot"),
         "published": published.get(spec["key"]),
         "results": results,
