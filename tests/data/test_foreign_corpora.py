@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from kinema import cli
 from kinema.data.catalog import read_joints_folder
 from kinema.data.doctor import diagnose, exit_code, format
 from kinema.data.prepare import prepare, prepare_store, read_corpus
@@ -16,6 +17,7 @@ from kinema.data.store import PackedStore
 from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.groups import check_groups
 from kinema.motion.convention import Convention
 from kinema.motion.features import extract
 from kinema.motion.resampling import resampled
@@ -145,6 +147,7 @@ def test_stray_files_and_links_are_no_clips(folder, tmp_path, capsys):
     shutil.move(folder / "joints", tmp_path / "elsewhere")
     (folder / "joints").symlink_to(tmp_path / "elsewhere")
     (tmp_path / "elsewhere" / "again").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "elsewhere" / "after").symlink_to(tmp_path / "elsewhere" / "__MACOSX")  # which hides no clips of it
     findings = diagnose(folder)
     assert exit_code(findings, strict=True) == 0, format(findings)
     assert "unlisted files" not in {f.kind for f in findings}
@@ -166,6 +169,58 @@ def test_clips_may_lie_behind_a_linked_folder(folder, tmp_path):
         file.write_text(file.read_text().replace(name, f"more/{name}"))
     catalog = read_joints_folder(folder)
     assert (len(catalog), len(catalog.dropped)) == (30, 0)
+    (folder / "joints" / "also").symlink_to(tmp_path / "taken")  # a second way to them
+    catalog = read_joints_folder(folder)
+    assert (len(catalog), len(catalog.dropped)) == (30, 0)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("3", "manifest.json .* a list"),
+        ("null", "manifest.json .* a list"),
+        ("[1]", "manifest.json has a clip, number 1, that holds a number"),
+        ('[{"name": "a"}, {"nam": "x"}]', "manifest.json has a clip, number 2, that has 'name'"),
+        ('[{"name": ["a"]}]', "manifest.json has a clip, number 1, that has 'name': it holds a list"),
+        ("[" * 20000, "manifest.json is nested"),
+        ("[", "manifest.json is damaged"),
+        (b"\xff\xfe\xff", "manifest.json"),
+    ],
+)
+def test_a_list_of_clips_that_is_none_is_named(folder, content, told):
+    (folder / "manifest.json").write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ValueError, match=told):
+        read_joints_folder(folder)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"a,b\n1,2\n", "index.csv has no column source_path, new_name"),
+        (b"source_path,new_name\n\xff,x\n", r"index.csv is not UTF-8 \(line 2"),
+        (b"source_path,start_frame,end_frame,new_name\nx,one,2,a.npy\n", "index.csv: a.npy has start_frame 'one'"),
+    ],
+)
+def test_an_index_that_is_none_is_named(folder, content, told):
+    (folder / "index.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=told):
+        read_joints_folder(folder)
+
+
+@pytest.mark.parametrize("share", ["x", "nan", "2", "-1"])
+def test_a_share_of_clips_that_is_none_is_told_before_any_is_read(folder, share, capsys):
+    words = ["prepare", str(folder), "--format", "joints", "--out", "store", "--set", f"max_unusable={share}"]
+    assert cli.main(words) == 2
+    assert "max_unusable=" in capsys.readouterr().err
+
+
+def test_the_share_that_may_be_lost_is_an_option_of_the_configuration(folder, tmp_path):
+    def asked(*more: str) -> Path:
+        return open_corpus(compose(["data=custom", f"data.source={folder}", f"paths.stores={tmp_path}/stores", *more]))
+
+    assert asked("+data.options.max_unusable=0.5") != asked("+data.options.max_unusable=0.1")
+    with pytest.raises(ValueError, match=r"data\.options\.max_unusable=2: must be"):
+        check_groups(compose(["data=custom", f"data.source={folder}", "+data.options.max_unusable=2"]))
 
 
 @pytest.mark.parametrize(
@@ -248,12 +303,16 @@ def test_the_rate_of_the_configuration_makes_another_store_and_the_usual_one_the
         return open_corpus(compose(["data=custom", f"data.source={folder}", f"paths.stores={tmp_path}/stores", *more]))
 
     usual = asked()
-    assert asked("data.fps=20") == usual
+    assert PackedStore.open(asked("data.fps=20")).hash == PackedStore.open(usual).hash
     assert asked("data.options.up=y") != usual
     change_all(folder, lambda j: np.repeat(j, 3, axis=0))
     fast = asked("data.fps=60")
     assert PackedStore.open(fast).hash == PackedStore.open(usual).hash
     assert asked("data.fps=60") == fast
+    (folder / "manifest.json").write_text(json.dumps([{"name": file.stem, "fps": 60} for file in files(folder)]))
+    told, slow = (PackedStore.open(asked(*words)) for words in ((), ("data.fps=20",)))
+    assert told.hash == PackedStore.open(fast).hash
+    assert slow.hash != told.hash  # what is asked for comes before what the manifest says
     with pytest.raises(ValueError, match="fps='fast'; it must be a positive number"):
         asked("data.fps=fast")
     with pytest.raises(ValueError, match="fps is no option"):

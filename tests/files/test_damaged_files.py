@@ -15,7 +15,7 @@ from torch import nn
 
 from kinema.atomic import write_json
 from kinema.data.captions import parse_captions
-from kinema.data.catalog import Clip
+from kinema.data.catalog import Clip, read_joints_folder
 from kinema.data.prepare import prepare
 from kinema.data.store import FILES, PackedStore
 from kinema.evaluation.cache import Shelf
@@ -74,6 +74,16 @@ def config(folder: Path) -> Read:
     text += "data:\n  name: x\n  reader: joints\n  skeleton: kit\n  options: {}\n"
     (folder / "config.yaml").write_text(text)
     return lambda file: read_config(folder, CONFIG)
+
+
+def clips(folder: Path) -> Read:
+    (folder / "joints").mkdir()
+    for name in ("a", "b"):
+        np.save(folder / "joints" / f"{name}.npy", np.zeros((3, 22, 3), np.float32))
+    for part, name in (("train", "a"), ("val", "b"), ("test", "")):
+        (folder / f"{part}.txt").write_text(name)
+    write_json(folder / "manifest.json", [{"name": "a", "source": "x", "fps": 20}, {"name": "b", "fps": None}])
+    return lambda file: [clip.fields for clip in read_joints_folder(folder)]
 
 
 SHAPES = {"model.weight": torch.zeros(3, 2)}
@@ -214,6 +224,7 @@ KINDS: dict[str, tuple[Callable[[Path], Read], tuple[str, ...]]] = {
     "replications": (scores, ("replications.jsonl",)),
     "metrics": (numbers, ("metrics.jsonl",)),
     "config": (config, ("config.yaml",)),
+    "corpus": (clips, ("manifest.json",)),
     "checkpoint": (checkpoint, ("last.ckpt",)),
     "weights": (module, ("weights.safetensors",)),
     "torch": (lambda f: published(f, "net.pth", torch.save), ("net.pth",)),

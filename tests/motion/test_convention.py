@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from kinema import cli
 from kinema.data.synthetic import synthetic_clips
 from kinema.motion.checks import check_clip
 from kinema.motion.convention import AS_IS, ORDERS, Convention, named_order
@@ -60,6 +61,15 @@ FOREIGN = [
 def clips() -> dict[str, np.ndarray]:
     """Give a clip of either skeleton."""
     return {name: next(iter(synthetic_clips(size=1, seed=3, skeleton=name))).joints() for name in SKELETONS}
+
+
+@pytest.mark.parametrize("up", TURNS)
+def test_the_axis_that_is_named_can_be_typed_as_it_is_named(clips, up, tmp_path, capsys):
+    file = tmp_path / "clip.npy"
+    np.save(file, TURNS[up](clips["humanml3d"], HUMANML3D))
+    assert cli.main(["doctor", str(file)]) == 1
+    assert f"--up {up} " in capsys.readouterr().out
+    assert cli.main(["doctor", str(file), "--up", up]) == 0
 
 
 @pytest.mark.parametrize("skeleton", SKELETONS.values(), ids=SKELETONS)

@@ -61,6 +61,53 @@ def test_a_motion_of_ours_is_read_whole(joints, tmp_path):
         read_recording(file, Convention(up="z"))
 
 
+def test_what_was_generated_keeps_its_seed_and_an_edit_its_kept_frames(joints, tmp_path):
+    rows, kept = extract(joints, HUMANML3D), np.arange(len(joints) - 1) < 9
+    file = save(Motion(joints[:-1], rows, "a person walks", "humanml3d", 20.0, 7, kept), tmp_path / "walk.npz")
+    found = read_recording(file).motion(HUMANML3D, 67)
+    assert found.seed == 7
+    np.testing.assert_array_equal(found.kept, kept)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"features": slice(9)}, "parts of several motions .frames: joints 19, features 9, kept 19"),
+        ({"joints": slice(5)}, "parts of several motions"),
+        ({"kept": slice(3)}, "parts of several motions"),
+        ({"fps": 30.0}, "fps=30, and humanml3d's motion has 20: save its joints alone"),
+        ({"fps": float("nan")}, "fps=nan"),
+        ({"skeleton": "smplx"}, "smplx"),
+    ],
+)
+def test_a_motion_of_ours_whose_parts_disagree_is_refused(joints, tmp_path, change, told):
+    joints = joints[:20]
+    parts = {"joints": joints[:-1], "features": extract(joints, HUMANML3D), "kept": np.ones(19, bool)}
+    parts |= {"text": np.array("a"), "fps": np.array(20.0), "skeleton": np.array("humanml3d")}
+    for name, value in change.items():
+        parts[name] = parts[name][value] if isinstance(value, slice) else np.array(value)
+    np.savez(tmp_path / "walk.npz", **parts)
+    with pytest.raises(ValueError, match=told):
+        read_recording(tmp_path / "walk.npz")
+
+
+@pytest.mark.parametrize("rate", [0.0, -20.0, float("nan"), float("inf")])
+def test_a_rate_that_is_none_is_told_with_its_file(joints, rate, tmp_path):
+    np.savez(tmp_path / "clip.npz", joints=joints, fps=np.array(rate))
+    with pytest.raises(ValueError, match=r"clip\.npz: fps=.*; it must be a positive number; give --fps"):
+        read_recording(tmp_path / "clip.npz")
+    assert len(read_recording(tmp_path / "clip.npz", Convention(fps=20)).joints) == len(joints)
+
+
+@pytest.mark.parametrize("told", [{"up": "z"}, {"up": "-y"}, {"handed": "left"}, {"order": "limbs"}])
+def test_whole_numbers_are_turned_as_others(joints, told, tmp_path):
+    whole = np.round((joints + 10) * 1000)
+    for dtype in ("uint16", "float32"):
+        np.save(tmp_path / f"{dtype}.npy", whole.astype(dtype))
+    read = [read_recording(tmp_path / f"{d}.npy", Convention(scale=0.001, **told)).joints for d in ("uint16", "float32")]
+    np.testing.assert_allclose(read[0], read[1], atol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["fps", "mocap_framerate", "mocap_frame_rate"])
 def test_an_archive_of_joints_tells_its_rate(joints, name, tmp_path):
     fast = np.repeat(joints, 3, axis=0)

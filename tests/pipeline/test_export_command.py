@@ -46,6 +46,11 @@ def test_held_feet_are_told_and_stand_where_the_capture_stood(walk, tmp_path, ca
         (["--out", "a.npz", "--loop"], "write one of these"),
         (["--out", "a.glb", "--z-up"], "Y up by its specification"),
         (["--out", "a.doc"], "unknown suffix"),
+        (["--out", "a.bvh", "--rate", "0"], "--rate=0"),
+        (["--out", "a.bvh", "--rate", "1e9"], "--rate=1"),
+        (["--out", "a.bvh", "--rate", "nan"], "--rate=NaN"),
+        (["--out", "a.bvh", "--facing", "nan"], "--facing=NaN"),
+        (["--out", "a.bvh", "--mapping", "x.yaml"], "no names to map"),
     ],
 )
 def test_what_a_format_cannot_hold_is_one_clear_error(words, message, walk, capsys, monkeypatch, tmp_path):

@@ -73,6 +73,15 @@ def test_lengths_in_seconds_or_from_the_text(model):
     same(model.generate(TEXTS, seed=3, batch_size=1), motions)
 
 
+def test_some_lengths_are_given_and_others_are_the_models_to_say(model):
+    mixed = model.generate(TEXTS, [24, None, 37], seed=3)
+    given, estimated = model.generate(TEXTS, [24, 30, 37], seed=3), model.generate(TEXTS, seed=3)
+    same([mixed[0], mixed[2]], [given[0], given[2]])
+    same([mixed[1]], [estimated[1]])
+    with pytest.raises(ValueError, match="a length each, or none"):
+        model.chain(TEXTS, [24, None, 37])
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any
 
 from kinema import __version__
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         module, _, function = EXPERIMENTS[words[0]][0].partition(":")
         getattr(importlib.import_module(module), function)(words[1:])
         return 0
-    options = _parser().parse_args(words)
+    options = _parser().parse_args(_joined(words))
     try:
         if hasattr(options, "set"):
             options.set = _settings(options.set)
@@ -99,6 +100,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Interrupted as stop:
         print(f"stopped   {stop}", file=sys.stderr)
         return 128 + stop.signum
+
+
+def _joined(words: list[str]) -> list[str]:
+    """Write `--up -z` as `--up=-z`: argparse takes what begins with a dash for an option."""
+    axes = [i for i, (word, value) in enumerate(pairwise(words)) if word == "--up" and value in ("-x", "-y", "-z")]
+    for i in reversed(axes):
+        words[i : i + 2] = [f"--up={words[i + 1]}"]
+    return words
 
 
 def _function(command: str) -> Callable[[argparse.Namespace], int | None]:
@@ -234,6 +243,7 @@ def _add_convention(parser: argparse.ArgumentParser) -> None:
         "--order", help="order of joints: swapped, limbs, limbs-right, trunk, trunk-right, or their names"
     )
     told.add_argument("--fps", type=float, help="their frame rate; they are resampled to the skeleton's")
+    told.add_argument("--mapping", metavar="FILE", help="which joint of a .bvh or .amc is which (docs/own_motion.md)")
 
 
 def _add_export(parser: argparse.ArgumentParser) -> None:

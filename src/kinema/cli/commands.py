@@ -6,13 +6,13 @@ import argparse
 import json
 import os
 import platform
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
+from kinema.cli.convention import told
 from kinema.data import doctor as examine
 from kinema.data.prepare import check_reader, read_corpus
 from kinema.data.prepare import prepare as write_store
@@ -22,12 +22,11 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.listing import Listed
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
-from kinema.motion.convention import Convention
 from kinema.motion.recording import read_recording
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
-from kinema.options import Threads, check_value
+from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.report.index import write_site
@@ -48,8 +47,8 @@ def generate(options: argparse.Namespace) -> None:
     prompts = [prompt for prompt in _prompts(options) for _ in range(options.count)]
     texts = [prompt.text for prompt in prompts]
     files = _files(options.out, 1 if options.chain else len(texts))
-    lengths = _lengths(options, prompts)
     model = _model(options)
+    lengths = _lengths(options, prompts, model.skeleton.fps)
     model.changed_sampling(options.set)  # before its names can stand for other arguments
     if options.chain:
         _write([model.chain(texts, **lengths, seed=options.seed, **options.set)], files)
@@ -65,7 +64,7 @@ def edit(options: argparse.Namespace) -> None:
         raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
     model = _model(options)
     model.changed_sampling(options.set)
-    recording = read_recording(options.motion, _convention(options))
+    recording = read_recording(options.motion, told(options))
     motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
     print(f"read {recording.path}: {recording.note}")
     frames = None
@@ -106,12 +105,14 @@ def prepare(options: argparse.Namespace) -> None:
     official = options.format in ("humanml3d", "kit")
     skeleton = options.format if official else options.skeleton
     reader = "official" if official else options.format
-    told = {name: value for name, value in vars(_convention(options)).items() if value is not None}
+    written = {name: value for name, value in vars(told(options)).items() if value is not None}
     limits = {name: options.set.pop(name) for name in ("max_missing", "max_unusable") if name in options.set}
-    check_reader(reader, told | options.set, "--set")
+    check(write_store, limits, "--set")
+    check_reader(reader, written)
+    check_reader(reader, options.set, "--set")
     processes = min(4, os.cpu_count() or 1) if options.processes is None else options.processes
     check_value(processes, Threads, "--processes")
-    settings = told | options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    settings = written | options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
     if (options.source is None) != (options.format == "synthetic"):
         needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
         raise ValueError(f"--format {options.format} {needs}")
@@ -136,7 +137,7 @@ def doctor(options: argparse.Namespace) -> int:
         path, source = open_corpus(cfg), source or cfg.data.source
     elif len(options.what) > 1:
         raise ValueError(f"doctor takes one path, or KEY=VALUE overrides, not {' '.join(options.what)}")
-    findings = examine.diagnose(path, source=source, convention=_convention(options))
+    findings = examine.diagnose(path, source=source, convention=told(options))
     print(printable(examine.format(findings)))
     return examine.exit_code(findings, strict=options.strict)
 
@@ -176,23 +177,13 @@ def _prompts(options: argparse.Namespace) -> list[Prompt]:
     return [Prompt(text) for text in options.text]
 
 
-def _lengths(options: argparse.Namespace, prompts: list[Prompt]) -> dict[str, Any]:
-    """Return the lengths asked for: those of the command line, and of the prompts that say one their own."""
-    if all(prompt.frames is None for prompt in prompts):
+def _lengths(options: argparse.Namespace, prompts: list[Prompt], fps: float) -> dict[str, Any]:
+    """Return the lengths asked for: a prompt's own, else that of the command line; None is the model's to say."""
+    if all(prompt.frames is None for prompt in prompts) or None not in (options.frames, options.seconds):
         return {"frames": options.frames, "seconds": options.seconds}
-    if options.seconds is not None:
-        raise ValueError(
-            f"--seconds {options.seconds:g} and prompts with frames (text#120); give --frames for the others"
-        )
-    frames = [options.frames if prompt.frames is None else prompt.frames for prompt in prompts]
-    if None in frames:
-        bare = prompts[frames.index(None)].text
-        raise ValueError(f"prompt {bare!r} says no length and others do; write {bare}#120, or give --frames for such")
-    return {"frames": frames}
-
-
-def _convention(options: argparse.Namespace) -> Convention:
-    return Convention(**{field.name: getattr(options, field.name) for field in fields(Convention)})
+    check_value(options.seconds, float | None, "--seconds")
+    other = options.frames if options.seconds is None else round(options.seconds * fps)
+    return {"frames": [other if prompt.frames is None else prompt.frames for prompt in prompts]}
 
 
 def _model(options: argparse.Namespace) -> TextToMotion:

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from kinema.cli.convention import told
 from kinema.motion import export as write
-from kinema.motion.convention import Convention
 from kinema.motion.feet import lock_feet
 from kinema.motion.physics import foot_skating
 from kinema.motion.recording import read_recording
-from kinema.motion.rig.changes import Changes
+from kinema.motion.rig.changes import Changes, Degrees, FrameRate
 from kinema.motion.rig.fit import fit_rig
 from kinema.motion.rig.pose import rest_pose
 from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.options import check_value
 from kinema.types import Motion
 
 
 def export(options: argparse.Namespace) -> None:
     """Write a motion in the format that the file's suffix names, and say how near rotations come to it."""
-    told = Convention(**{field.name: getattr(options, field.name) for field in fields(Convention)})
-    recording = read_recording(options.motion, told)
+    for option, value, kind in (("--rate", options.rate, FrameRate), ("--facing", options.facing, Degrees)):
+        if value is not None:
+            check_value(value, kind, option)
+    recording = read_recording(options.motion, told(options))
     print(f"read {recording.path}: {recording.note}")
     skeleton = recording.skeleton
     motion = recording.motion(skeleton, skeleton.essential_width)

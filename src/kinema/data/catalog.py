@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,13 +15,16 @@ from kinema.data.folders import listed_names, stems
 from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
 from kinema.data.slips import UNREADABLE, Slip, check_readable, read_captions
 from kinema.files.arrays import NUMBERS, Wanted, read_npy
+from kinema.files.json import fault, read_json
+from kinema.files.kinds import refuse
 from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.skeleton import get_skeleton
 from kinema.motion.statistics import Statistics
 
-VERSION = 2
+VERSION = 3
 """Raised when a reader gives other clips of the same source."""
 
+MANIFEST = 'write a list of objects, each with a "name"'
 SPLITS = ("train", "val", "test")
 UNTOLD = "taken for granted: no option (fps) and no file tells it"
 
@@ -207,6 +209,9 @@ def _read_fields(file: Path) -> dict[str, dict[str, str]]:
     """Read a corpus' own list of clips: what it says of each beside name, length and split."""
     if not file.is_file():
         return {}
-    rows: Iterable[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+    rows = read_json(file, list, fix=MANIFEST)
+    for number, row in enumerate(rows, 1):
+        if wrong := fault(row, {"name": str}):
+            raise refuse(file, f"has a clip, number {number}, that {wrong}", MANIFEST)
     passed = ("name", "frames", "split")
-    return {row["name"]: {k: str(v) for k, v in row.items() if k not in passed} for row in rows}
+    return {row["name"]: {k: str(v) for k, v in row.items() if k not in passed and v is not None} for row in rows}

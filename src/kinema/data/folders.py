@@ -10,16 +10,19 @@ from kinema.files.lines import read_lines
 
 
 def walk(root: Path) -> Iterator[tuple[str, list[str]]]:
-    """Give every folder below `root`, itself first, with the names of its files, sorted; each once, whatever links."""
-    seen = set()
-    for folder, folders, files in os.walk(root, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in seen:
-            folders.clear()
-            continue
-        seen.add(real)
-        folders.sort()
-        yield folder, sorted(files)
+    """Give every folder below `root`, itself first, with the names of its files, sorted; a link upwards ends there."""
+    return _walk(str(root), ()) if os.path.isdir(root) else iter(())
+
+
+def _walk(folder: str, above: tuple[str, ...]) -> Iterator[tuple[str, list[str]]]:
+    real = os.path.realpath(folder)
+    if real in above:
+        return
+    entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+    yield folder, [entry.name for entry in entries if not entry.is_dir()]
+    for entry in entries:
+        if entry.is_dir():
+            yield from _walk(entry.path, (*above, real))
 
 
 def stems(root: Path, suffix: str) -> list[str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from kinema.files.csv import read_csv
 
 CUT = 180
 """Frames of a piece: `<name>_s<k>` is frames [180 k, 180 k + 180) of `<name>` (OPEN_MOCAP)."""
@@ -49,8 +50,7 @@ def read_index(folder: Path) -> dict[str, Origin]:
     file = index_file(folder)
     if file is None:
         return {}
-    with file.open(newline="", encoding="utf-8-sig") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = read_csv(file, "source_path", "new_name", fix="take it from HumanML3D's repository, or remove it")
     return {Path(r["new_name"]).stem: _origin(r, file) for r in rows if r.get("new_name") and r.get("source_path")}
 
 

@@ -47,12 +47,21 @@ request: raise it when the same source gives other clips.
 """
 
 
+LIMITS = ("legacy_fps", "max_missing", "max_unusable", "processes")
+"""Options of `prepare` that the configuration's `data.options` may hold beside the reader's."""
+
+
 def find_reader(name: str) -> Callable[..., Catalog]:
     """Find a reader; raises ValueError naming those there are."""
     if name not in READERS:
         raise ValueError(f"unknown reader {name!r}; choose one of {', '.join(READERS)}")
     module, _, function = READERS[name].partition(":")
     return getattr(importlib.import_module(module), function)
+
+
+def takes(name: str, option: str) -> bool:
+    """Say whether a reader has an option."""
+    return option in inspect.signature(find_reader(name)).parameters
 
 
 def check_reader(name: str, options: Mapping[str, Any], at: str = "", *others: str) -> None:
@@ -90,11 +99,11 @@ def prepare_store(
     """
     mirror = reader != "official" if mirror is None else mirror
     options: dict[str, Any] = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
-    read, module = find_reader(reader), READERS[reader].partition(":")[0]
-    if "skeleton" in inspect.signature(read).parameters:
+    if takes(reader, "skeleton"):
         reader_options["skeleton"] = skeleton
+    module, _, _ = READERS[reader].partition(":")
     versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
-    asked = [versions, reader, options, max_missing, reader_options, _listing(source)]
+    asked = [versions, reader, options, max_missing, max_unusable, reader_options, _listing(source)]
     request = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:12]
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
     if _request_of(out) == request:
@@ -134,7 +143,7 @@ def prepare(
     or more than `max_unusable` holds no sound motion, or if `out_dir` holds another content. What else is left out is
     printed, and listed in the store's dropped.json.
     """
-    check(prepare, {"max_missing": max_missing, "processes": processes}, "prepare")
+    check(prepare, {"max_missing": max_missing, "max_unusable": max_unusable, "processes": processes}, "prepare")
     out, body = Path(out_dir), get_skeleton(skeleton)
     catalog = clips if isinstance(clips, Catalog) else Catalog(list(clips))
     _check_catalog(catalog, name, mirror, max_missing)

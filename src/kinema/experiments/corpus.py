@@ -7,7 +7,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from kinema.data.datasets import ClipDataset, WindowDataset
-from kinema.data.prepare import prepare_store
+from kinema.data.prepare import prepare_store, takes
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.motion.skeleton import get_skeleton
@@ -22,8 +22,8 @@ def open_split(cfg: DictConfig, split: str | None) -> Path:
     """Give the store of the corpus divided by one of its own splits; None is the one that stands in its folder."""
     data = plain(cfg.data)
     options = {**data["options"], "split": split}
-    if data.get("fps") not in (None, get_skeleton(data["skeleton"]).fps):
-        options["fps"] = data["fps"]  # the skeleton's own rate makes the store that it always made
+    if takes(data["reader"], "fps") or data["fps"] != get_skeleton(data["skeleton"]).fps:
+        options["fps"] = data["fps"]
     return prepare_store(
         data["reader"],
         data["source"],

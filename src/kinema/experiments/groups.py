@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from annotated_types import Interval, Len
 from omegaconf import DictConfig, OmegaConf
 
-from kinema.data.prepare import READERS, check_reader, prepare_store
+from kinema.data.prepare import LIMITS, READERS, check_reader, prepare_store
 from kinema.data.synthetic.corpus import Clips
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import DIMS, EDITS, LENGTHS, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
@@ -220,7 +220,7 @@ def check_groups(cfg: DictConfig) -> None:
     for stage in stages().values():
         if stage.present(cfg):
             check(Part, _mapping(stage.config(cfg), stage.node), stage.node)
-    check_reader(cfg.data.reader, plain(cfg.data.options), "data.options", "legacy_fps", "max_missing", "processes")
+    check_reader(cfg.data.reader, plain(cfg.data.options), "data.options", *LIMITS)
     check(prepare_store, plain(cfg.data.options), "data.options")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,8 @@ class Convention:
 
     `up`: the axis that points up, of `AXES`. `handed`: "left" for coordinates of a left-handed system (Unity, Unreal).
     `scale`: the skeleton's units in one of the clip's, 0.01 for centimetres. `order`: one of `ORDERS`, or the joints'
-    names, separated by commas. `fps`: frames per second. Numbers come from users: they are checked, not typed.
+    names, separated by commas. `fps`: frames per second. `mapping`: a file that says which joint of a capture is which.
+    Numbers come from users: they are checked, not typed.
     """
 
     up: str | None = None
@@ -44,6 +45,7 @@ class Convention:
     scale: Any = None
     order: str | None = None
     fps: Any = None
+    mapping: str | None = None
 
     def __post_init__(self) -> None:
         for name, value, allowed in (("up", self.up, tuple(AXES)), ("handed", self.handed, ("left", "right"))):
@@ -55,6 +57,12 @@ class Convention:
             if isinstance(number, bool) or not isinstance(number, int | float) or not 0 < number < np.inf:
                 raise ValueError(f"{name}={number!r}; it must be a positive number")
 
+    def of_arrays(self) -> dict[str, Any]:
+        """Return what can be told of arrays of joints; raises ValueError for what only captures have."""
+        if self.mapping is not None:
+            raise ValueError("joints of an array have no names to map (--mapping); tell their order with --order")
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "mapping"}
+
     @property
     def vouched(self) -> frozenset[str]:
         """Name the kinds of problem that what is told rules out."""
@@ -63,6 +71,9 @@ class Convention:
 
     def apply(self, array: np.ndarray, skeleton: Skeleton) -> Shaped[np.ndarray, "t j 3"]:
         """Return joints in the skeleton's order, axes, unit and rate. Raises ValueError for what has no such joints."""
+        self.of_arrays()
+        if not np.issubdtype(array.dtype, np.floating):
+            array = array.astype(np.float32)  # an unsigned number has no negative
         joints = as_joints(array, skeleton) if self.order is None else self._ordered(array, skeleton)
         if self.up not in (None, "y"):
             joints = np.stack([joints[..., axis] * sign for axis, sign in AXES[self.up]], axis=-1)

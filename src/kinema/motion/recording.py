@@ -11,6 +11,8 @@ import torch
 
 from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.files.kinds import describe, head_of, require_file
+from kinema.motion.captures import amass
+from kinema.motion.captures.mapping import read_mapping
 from kinema.motion.captures.reading import READERS, REFUSED, captured_joints, read_capture
 from kinema.motion.checks import Problem, check_clip
 from kinema.motion.convention import AS_IS, Convention
@@ -25,7 +27,7 @@ from kinema.types import Motion
 FIX = "give joints (frames, joints, 3) or features as .npy, an .npz that kinema wrote, .bvh or .amc"
 BODY_PARAMETERS = ({"poses", "trans"}, {"root_orient", "pose_body"}, {"body_pose", "global_orient"})
 """Names that archives of SMPL's parameters have: AMASS', SMPL-X', and those of body fits."""
-RATES = ("fps", "mocap_framerate", "mocap_frame_rate")
+RATES = ("fps", *amass.RATES)
 """Names under which archives hold their frame rate."""
 
 
@@ -33,7 +35,7 @@ RATES = ("fps", "mocap_framerate", "mocap_frame_rate")
 class Recording:
     """Hold a clip as a file had it, its joints brought to a skeleton's convention; `features` where the file had them.
 
-    `note` says how it was read. `ours`: kinema wrote it, and what was generated may be as odd as it likes.
+    `note` says how it was read. `ours` is what kinema wrote; what was generated may be as odd as it likes.
     """
 
     path: Path
@@ -43,7 +45,7 @@ class Recording:
     convention: Convention
     note: str
     text: str = ""
-    ours: bool = False
+    ours: Motion | None = None
 
     def problems(self) -> list[Problem]:
         """Check the joints."""
@@ -58,7 +60,7 @@ class Recording:
         if self.skeleton is not skeleton:
             raise ValueError(f"{self.path} holds {self.skeleton.name}'s motion, {skeleton.name}'s is needed")
         rows = self.features
-        broken = ("shape", "nan", "bone") if self.ours or rows is not None else None
+        broken = ("shape", "nan", "bone") if rows is not None or self.ours is not None else None
         if fatal := [p for p in self.problems() if p.fatal and (broken is None or p.kind in broken)]:
             raise ValueError(f"{self.path}: {'; '.join(f'{p.message}; fix: {p.fix}' for p in fatal)}")
         if rows is None:
@@ -66,7 +68,8 @@ class Recording:
             rows = extract_every(self.joints, skeleton, target_bone_lengths=lengths)
         elif rows.shape[1] < width:
             rows = lift(rows, skeleton)
-        return Motion(self.joints, rows, self.text, skeleton.name, skeleton.fps)
+        made = Motion(self.joints, rows, self.text, skeleton.name, skeleton.fps)
+        return made if self.ours is None else replace(made, seed=self.ours.seed, kept=self.ours.kept)
 
 
 def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recording:
@@ -86,8 +89,11 @@ def _captured(path: Path, told: Convention) -> Recording:
     """Read a capture of another skeleton, whose names say which joint is which."""
     if told.order is not None or told.handed is not None:
         raise ValueError(f"{path}: joints of a capture are known by their names: leave --order and --handed out")
-    joints, understood = captured_joints(read_capture(path), path, up=told.up, scale=told.scale, fps=told.fps)
-    return Recording(path, HUMANML3D, joints.astype(np.float32), None, AS_IS, str(understood))
+    mapping = None if told.mapping is None else read_mapping(told.mapping)
+    joints, understood = captured_joints(
+        read_capture(path), path, mapping=mapping, up=told.up, scale=told.scale, fps=told.fps
+    )
+    return Recording(path, HUMANML3D, joints.astype(np.float32), None, told, str(understood))
 
 
 def _from_array(path: Path, array: np.ndarray, told: Convention, text: str = "") -> Recording:
@@ -121,7 +127,7 @@ def _archive(path: Path, told: Convention) -> Recording:
         if told != AS_IS:
             raise ValueError(f"{path} is a motion that kinema wrote: no option changes its convention")
         rows = motion.features if motion.features.shape[1] >= skeleton.essential_width else None
-        return Recording(path, skeleton, motion.joints, rows, told, note, motion.text, ours=True)
+        return Recording(path, skeleton, motion.joints, rows, told, note, motion.text, motion)
     if any(known <= set(names) for known in BODY_PARAMETERS):
         raise ValueError(f"{path} {_body_parameters(path, names)}")
     numbers = read_npz(path, {name: Wanted(f"{NUMBERS}bUS", optional=True) for name in names}, fix=FIX)
@@ -132,7 +138,12 @@ def _archive(path: Path, told: Convention) -> Recording:
     rates = [numbers[name] for name in RATES if name in numbers and numbers[name].dtype.kind in NUMBERS]
     rate = next((float(value.item()) for value in rates if value.size == 1), None)
     array = motions["joints"] if "joints" in motions else next(iter(motions.values()))
-    read = told if told.fps or rate is None or array.ndim == 2 else replace(told, fps=rate)
+    if told.fps or rate is None or array.ndim == 2:
+        return _from_array(path, array, told)
+    try:
+        read = replace(told, fps=rate)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}; give --fps") from None
     return _from_array(path, array, read)
 
 

@@ -14,21 +14,21 @@ from kinema.text.frozen import check_texts
 from kinema.types import Motion
 
 
-def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: int) -> list[int] | None:
-    """Return the frames of each of `size` samples from one value or one per sample; None if no length is asked for."""
+def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: int) -> list[int | None]:
+    """Return the frames of each of `size` samples from one value or one per sample; None where none are asked for."""
     if frames is not None and seconds is not None:
         raise ValueError(f"got frames={frames} and seconds={seconds}; give one of them")
-    if frames is None and seconds is None:
-        return None
     name, kind, given = ("frames", int, frames) if seconds is None else ("seconds", float, seconds)
     asked: list[Any] = [
         value.item() if isinstance(value, np.generic | Tensor) else value for value in _spread(given, size)
     ]
     for value in asked:
-        check_value(value, kind, name)
-    counts = asked if seconds is None else [round(value * fps) for value in asked]
+        if value is not None:
+            check_value(value, kind, name)
+    counts = [value if value is None or seconds is None else round(value * fps) for value in asked]
     for count in counts:
-        check_length(count, maximum, fps)
+        if count is not None:
+            check_length(count, maximum, fps)
     return counts
 
 
@@ -44,6 +44,13 @@ def check_length(count: int, maximum: int, fps: float) -> None:
 def batches(size: int, batch_size: int) -> Iterator[slice]:
     check_value(batch_size, Count, "batch_size")
     return (slice(i, i + batch_size) for i in range(0, size, batch_size))
+
+
+def batches_by_length(counts: Sequence[int | None], batch_size: int) -> Iterator[list[int]]:
+    """Give the places of samples batch by batch: those with a length first, then those without."""
+    for wanted in (False, True):
+        places = [i for i, count in enumerate(counts) if (count is None) is wanted]
+        yield from (places[part] for part in batches(len(places), batch_size))
 
 
 def _spread(values: Any, size: int) -> list[Any]:

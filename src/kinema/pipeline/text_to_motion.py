@@ -20,7 +20,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
-from kinema.pipeline.arguments import batches, check_sources, frame_counts, paired
+from kinema.pipeline.arguments import batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
 from kinema.pipeline.chaining import bridges, join
 from kinema.pipeline.compatibility import check_pair
@@ -143,16 +143,16 @@ class TextToMotion:
     def generate(
         self,
         texts: str | Sequence[str],
-        frames: int | Sequence[int] | None = None,
+        frames: int | Sequence[int | None] | None = None,
         *,
-        seconds: float | Sequence[float] | None = None,
+        seconds: float | Sequence[float | None] | None = None,
         seed: int | None = None,
         batch_size: int = 32,
         **sampling: Any,
     ) -> list[Motion]:
         """Generate one motion per text, `frames` or `seconds` long (one value, or one per text).
 
-        Without a length, a generator that ends its sequences itself decides, else the length estimator.
+        Where none is given (None), a generator that ends its sequences itself decides, else the length estimator.
 
         Keyword arguments replace fields of the generator's sampling. The same seed gives the same list; a motion's
         own `seed` gives it again alone. Raises ValueError for empty texts, lengths out of range, unknown fields.
@@ -161,21 +161,21 @@ class TextToMotion:
         options = self.changed_sampling(sampling)
         seeds = request_seeds(seed, len(texts))
         counts = self._lengths(frames, seconds, len(texts))
-        motions = []
+        motions: dict[int, Motion] = {}
         with self._inference():
-            for part in batches(len(texts), batch_size):
-                wanted = None if counts is None else torch.tensor(counts[part])
-                text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
-                batch = self.sample(text, wanted, seeds=drawn, sampling=options)
-                motions += self._motions(batch, texts[part], seeds[part])
-        return motions
+            for part in batches_by_length(counts, batch_size):
+                wanted = None if counts[part[0]] is None else torch.tensor([counts[i] for i in part])
+                prompts, drawn = [texts[i] for i in part], [seeds[i] for i in part]
+                batch = self.sample(self.text_encoder(prompts), wanted, seeds=torch.tensor(drawn), sampling=options)
+                motions |= zip(part, self._motions(batch, prompts, drawn), strict=True)
+        return [motions[i] for i in range(len(texts))]
 
     def chain(
         self,
         texts: str | Sequence[str],
-        frames: int | Sequence[int] | None = None,
+        frames: int | Sequence[int | None] | None = None,
         *,
-        seconds: float | Sequence[float] | None = None,
+        seconds: float | Sequence[float | None] | None = None,
         transition: int = 8,
         seed: int | None = None,
         **sampling: Any,
@@ -194,9 +194,11 @@ class TextToMotion:
         seeds = request_seeds(seed, 2 * len(texts) - 1)
         seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
         counts = self._lengths(frames, seconds, len(texts))
+        if None in counts and any(counts):
+            raise ValueError("parts of one motion need a length each, or none has one: give --frames or --seconds")
         with self._inference():
             text, drawn = self.text_encoder(texts).to(self.device), torch.tensor(seeds)
-            wanted = self._estimated(text, drawn) if counts is None else torch.tensor(counts)
+            wanted = self._estimated(text, drawn) if None in counts else torch.tensor(counts)
             asked = None if wanted is None else space.whole(wanted).to(self.device)
             parts = self.generator.sample(text, asked, seeds=drawn, sampling=options)
             if len(texts) > 1:
@@ -287,9 +289,9 @@ class TextToMotion:
         check(type(self.generator.sampling), changes, "sampling")
         return replace(self.generator.sampling, **changes)
 
-    def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int] | None:
+    def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int | None]:
         counts = frame_counts(frames, seconds, size, fps=self.skeleton.fps, maximum=self.max_frames)
-        if counts is None and not self.knows_lengths:
+        if None in counts and not self.knows_lengths:
             raise ValueError("no length: give frames= or seconds=, or a length estimator (length=RUN, --length RUN)")
         return counts
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kinema.files.lines import read_lines
 
-_LENGTH = re.compile(r"(?P<text>.*\S)#(?P<frames>\d+|NA)\s*$", re.IGNORECASE)
+_LENGTH = re.compile(r"(?P<text>.*\S)#(?P<frames>\d{1,9}|NA)\s*$", re.IGNORECASE)
 _CAPTION = re.compile(r"(?P<text>[^#]*\S)#[^#]*#(?:[\d.]+|nan)#(?:[\d.]+|nan)\s*$", re.IGNORECASE)
 
 

@@ -7,11 +7,15 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.motion.captures.conftest import REST, bvh_text
+from tests.motion.captures.conftest import REST, SPELLED, bvh_text
 
+from kinema import cli
 from kinema.motion.captures.bvh import read_bvh
 from kinema.motion.captures.reading import captured_joints, read_capture
+from kinema.motion.convention import Convention
+from kinema.motion.formats.arrays import load_npz
 from kinema.motion.kinematics import bone_lengths
+from kinema.motion.recording import read_recording
 from kinema.motion.skeleton import HUMANML3D
 
 ANGLES = np.random.default_rng(0).uniform(-40, 40, (12, 22, 3))
@@ -151,3 +155,30 @@ def test_what_is_wrong_with_a_file_is_one_clear_error(kind, write):
 def test_other_formats_are_refused_with_the_way_out(name, write):
     with pytest.raises(ValueError, match=name):
         read_capture(write(name, "x"))
+
+
+def test_what_is_told_of_a_capture_is_believed(write):
+    """Somebody lies throughout: found from the pose another axis is up."""
+    angles = np.zeros((40, 22, 3))
+    angles[:, 0, 1] = -90.0  # about X, the second of ZXY
+    angles[:, 1, 1] = np.linspace(0, 30, 40)
+    path = write("a.bvh", bvh_text(angles))
+    assert "z up" in read_recording(path).note
+    lying = read_recording(path, Convention(up="y"))
+    assert "y up" in lying.note
+    assert [problem.kind for problem in lying.problems()] == []
+
+
+def test_a_rig_of_ones_own_is_read_by_a_mapping(write, tmp_path, capsys):
+    theirs = {joint: f"rig_{joint}_jnt" for joint in HUMANML3D.joint_names}
+    text, known = bvh_text(ANGLES), bvh_text(ANGLES)
+    for joint, name in SPELLED.items():
+        text = re.sub(rf"(ROOT|JOINT) {re.escape(name)}\n", rf"\1 {theirs[joint]}\n", text)
+    path, other = write("rig.bvh", text), write("known.bvh", known)
+    out = str(tmp_path / "out.npz")
+    assert cli.main(["export", str(path), "--out", out]) == 2
+    assert "--mapping FILE.yaml" in capsys.readouterr().err
+    mapping = write("rig.yaml", "title: My rig\njoints:\n" + "".join(f"  {j}: {n}\n" for j, n in theirs.items()))
+    assert cli.main(["export", str(path), "--mapping", str(mapping), "--out", out]) == 0
+    assert "My rig" in capsys.readouterr().out
+    np.testing.assert_allclose(load_npz(out).joints, read_recording(other).joints, atol=1e-5)

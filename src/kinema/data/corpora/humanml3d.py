@@ -5,7 +5,6 @@ Every row of index.csv is a clip; its mirror image is `MNAME`. Captions come wit
 
 from __future__ import annotations
 
-import csv
 import shutil
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
@@ -18,6 +17,9 @@ from jaxtyping import Float
 
 from kinema.atomic import replacing, write_text
 from kinema.data.catalog import SPLITS
+from kinema.files.arrays import Wanted, read_npy
+from kinema.files.csv import read_csv
+from kinema.files.text import read_text
 from kinema.motion.captures.amass import BODY, BodyModels, read_amass, strided
 from kinema.motion.features import extract
 from kinema.motion.mirror import mirror_joints
@@ -148,8 +150,7 @@ def read_cuts(lists: Path) -> list[Cut]:
         raise FileNotFoundError(
             f"{file} is missing; --lists is HumanML3D's repository, which has index.csv and HumanML3D/"
         )
-    with file.open(newline="", encoding="utf-8-sig") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = read_csv(file)
     try:
         return [
             Cut(
@@ -169,7 +170,7 @@ def read_cuts(lists: Path) -> list[Cut]:
 def clip_joints(path: Path, cuts: list[Cut], models: BodyModels) -> Iterator[tuple[Cut, Float[np.ndarray, "t 22 3"]]]:
     """Cut clips out of their source: 20 fps, metres, Y up, as the published `joints/`."""
     if cuts[0].collection == ACTIONS:
-        joints = np.load(path, allow_pickle=False)[:, :BODY].astype(np.float64)
+        joints = read_npy(path, Wanted("f", (None, None, 3)), fix="copy it again")[:, :BODY].astype(np.float64)
         yield from ((cut, joints) for cut in cuts)
         return
     positions = strided(read_amass(path, models), HUMANML3D.fps).positions
@@ -220,7 +221,7 @@ def _read_names(lists: Path) -> dict[str, list[str]]:
         file = next((place for place in places if place.is_file()), None)
         if file is None:
             raise FileNotFoundError(f"{places[0]} is missing; --lists is HumanML3D's repository")
-        found[key] = file.read_text(encoding="utf-8-sig").split()
+        found[key] = read_text(file).split()
     return found
 
 
@@ -243,7 +244,7 @@ def _finish(out: Path, names: dict[str, list[str]], there: set[str], texts: Path
     for key in ("all", *SPLITS):
         write_text(out / f"{key}.txt", "".join(f"{name}\n" for name in names[key] if name in there))
     rows = (
-        np.load(out / "new_joint_vecs" / f"{name}.npy", allow_pickle=False) for name in names["all"] if name in there
+        read_npy(out / "new_joint_vecs" / f"{name}.npy", fix="delete it") for name in names["all"] if name in there
     )
     statistics = Statistics.compute(rows, HUMANML3D)
     _save(out / "Mean.npy", statistics.mean.astype(np.float32))

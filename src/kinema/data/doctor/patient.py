@@ -84,7 +84,7 @@ def from_folder(path: Path, convention: Convention) -> Patient:
     skeleton, official = guess_skeleton(path), (path / "new_joint_vecs").is_dir()
     if official and convention != AS_IS:
         raise ValueError(f"{path} holds features: no option changes their axes, unit, order or rate")
-    catalog = read_official(path, skeleton.name) if official else read_joints_folder(path, **vars(convention))
+    catalog = read_official(path, skeleton.name) if official else read_joints_folder(path, **convention.of_arrays())
     clips, rows, entries, dropped = _load(catalog, skeleton)
     return Patient(
         name=path.name,

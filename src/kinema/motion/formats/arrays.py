@@ -9,6 +9,7 @@ import numpy as np
 
 from kinema.atomic import replacing
 from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
+from kinema.motion.skeleton import get_skeleton
 from kinema.types import Motion
 
 PARTS = frozenset({"joints", "features", "text", "fps", "skeleton"})
@@ -62,6 +63,7 @@ def load_npy(path: str | Path) -> np.ndarray:
 def load_npz(path: str | Path) -> Motion:
     """Read a motion that `save` wrote as .npz; pickled content is refused."""
     content = read_npz(path, _LAYOUT, fix="write it again with kinema.motion.export.save")
+    _check_agreement(path, content)
     return Motion(
         joints=content["joints"],
         features=content["features"],
@@ -71,3 +73,17 @@ def load_npz(path: str | Path) -> Motion:
         seed=int(content["seed"]) if "seed" in content else None,
         kept=content.get("kept"),
     )
+
+
+def _check_agreement(path: str | Path, content: dict[str, np.ndarray]) -> None:
+    """Raise ValueError for parts that are not of one motion."""
+    lengths = {name: len(content[name]) for name in ("joints", "features", "kept") if name in content}
+    if len(set(lengths.values())) > 1:
+        found = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ValueError(f"{path} holds parts of several motions (frames: {found}); write it again with `save`")
+    skeleton, fps = get_skeleton(str(content["skeleton"])), float(content["fps"])
+    if fps != skeleton.fps:
+        raise ValueError(
+            f"{path} has fps={fps:g}, and {skeleton.name}'s motion has {skeleton.fps:g}: save its joints alone as "
+            ".npy, and give --fps"
+        )

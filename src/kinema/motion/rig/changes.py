@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from kinema.motion.captures.capture import Capture
+from kinema.options import Options
 
 LOOP_SECONDS = 0.5
 """Over how long the end of a loop becomes its start."""
 
 
+FrameRate = Annotated[float, Interval(gt=0, le=1000)]
+Degrees = Annotated[float, Interval(ge=-360, le=360)]
+
+
 @dataclass(frozen=True)
-class Changes:
+class Changes(Options):
     """Say how an exported motion differs: `fps` None is its own, `facing` degrees from +Z towards +X, None its own.
 
     `in_place`: the root stays over one spot. `loop`: the last frames become the first. `z_up`: Z is up, Y backward.
     """
 
-    fps: float | None = None
+    fps: FrameRate | None = None
     in_place: bool = False
-    facing: float | None = None
+    facing: Degrees | None = None
     loop: bool = False
     z_up: bool = False
 
