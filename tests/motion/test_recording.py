@@ -102,9 +102,10 @@ def test_a_rate_that_is_none_is_told_with_its_file(joints, rate, tmp_path):
 @pytest.mark.parametrize("told", [{"up": "z"}, {"up": "-y"}, {"handed": "left"}, {"order": "limbs"}])
 def test_whole_numbers_are_turned_as_others(joints, told, tmp_path):
     whole = np.round((joints + 10) * 1000)
+    read = []
     for dtype in ("uint16", "float32"):
         np.save(tmp_path / f"{dtype}.npy", whole.astype(dtype))
-    read = [read_recording(tmp_path / f"{d}.npy", Convention(scale=0.001, **told)).joints for d in ("uint16", "float32")]
+        read.append(read_recording(tmp_path / f"{dtype}.npy", Convention(scale=0.001, **told)).joints)
     np.testing.assert_allclose(read[0], read[1], atol=1e-5)
 
 

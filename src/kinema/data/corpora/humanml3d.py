@@ -243,9 +243,7 @@ def _finish(out: Path, names: dict[str, list[str]], there: set[str], texts: Path
             shutil.copyfile(source, out / "texts" / f"{name}.txt")
     for key in ("all", *SPLITS):
         write_text(out / f"{key}.txt", "".join(f"{name}\n" for name in names[key] if name in there))
-    rows = (
-        read_npy(out / "new_joint_vecs" / f"{name}.npy", fix="delete it") for name in names["all"] if name in there
-    )
+    rows = (read_npy(out / "new_joint_vecs" / f"{name}.npy", fix="delete it") for name in names["all"] if name in there)
     statistics = Statistics.compute(rows, HUMANML3D)
     _save(out / "Mean.npy", statistics.mean.astype(np.float32))
     _save(out / "Std.npy", statistics.std.astype(np.float32))
