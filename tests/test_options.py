@@ -110,10 +110,7 @@ def test_numbers_of_numpy_are_numbers(name, value):
     plain = np.asarray(value).tolist()
     kept = getattr(replace(Example(), **{name: value}), name)
     assert list(kept) == plain if name == "span" else kept == plain
-    assert not any(
-        isinstance(one, np.generic) for one in (kept if name == "span" else [kept])
-    )  # they are saved as JSON
-    json.dumps(kept)
+    json.dumps(kept)  # as they are saved with weights
     assert type(Layer(np.int64(3), example=Example()).width) is int
 
 
