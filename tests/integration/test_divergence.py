@@ -108,5 +108,5 @@ def test_an_error_behind_a_bad_loss_is_told_as_that(overrides, monkeypatch):
         return losses(self, *arguments)
 
     monkeypatch.setattr(MotionModule, "losses", failing)
-    with pytest.raises(ValueError, match="^training diverged: at step 2 the training loss is nan"):
+    with pytest.raises(ValueError, match=r"^training diverged: at step 2 the training loss is nan"):
         run_stage(compose(overrides), "tokenizer")
