@@ -8,7 +8,6 @@ import re
 import numpy as np
 import torch
 
-from kinema.options import Size, checked
 from kinema.seeds import word_seed
 from kinema.text.frozen import check_texts, standardise
 from kinema.types import TextFeatures, frame_mask
@@ -22,8 +21,7 @@ class HashedTextEncoder:
     Pooled is the standardised sum of the word vectors. The same on every machine and in every process.
     """
 
-    @checked
-    def __init__(self, dim: Size = 64, device: torch.device | str = "cpu") -> None:
+    def __init__(self, dim: int = 64, device: torch.device | str = "cpu") -> None:
         self.dim = self.token_dim = dim
         self.device = torch.device(device)
         self.identity = f"hashed-{dim}"
