@@ -15,10 +15,11 @@ import pytest
 from kinema.experiments import entry, launching, reproduce
 from kinema.experiments import run as running
 from kinema.experiments.config import CONF, compose
-from kinema.experiments.evaluation import describe, run_evaluation, scored_lines, tell_means
+from kinema.experiments.evaluation import describe, run_evaluation, tell_means
 from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.multirun import sweeps
 from kinema.experiments.plan import estimate
+from kinema.experiments.replications import scored_lines
 from kinema.experiments.request import Request
 from kinema.experiments.tables import load_table, plan, render_table
 from kinema.runs.console import console
