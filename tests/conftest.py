@@ -9,7 +9,7 @@ import string
 import subprocess
 import sys
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -90,6 +90,14 @@ Script = Callable[..., subprocess.CompletedProcess]
 def shelf(tmp_path_factory) -> Path:
     """Give a folder for stores and caches that the tests of a session share."""
     return tmp_path_factory.mktemp("kinema")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(shelf: Path) -> Iterator[None]:
+    """Keep what tests ask runs to read apart from the user's own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("KINEMA_CACHE", str(shelf / "cache"))
+        yield
 
 
 @pytest.fixture

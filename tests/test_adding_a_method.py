@@ -26,29 +26,31 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "adding_a_method.md"
 BLOCK = re.compile(r"`((?:src|conf)/[\w/]+\.(?:py|yaml))`:\n\n```\w+\n(.*?)```", re.DOTALL)
 
 
-@pytest.fixture
-def page(tmp_path, monkeypatch, overrides) -> Iterator[list[str]]:
-    """Put the page's files where they would be: beside the package's modules, and on Hydra's path."""
-    modules = []
-    for name, text in BLOCK.findall(PAGE.read_text()):
-        file = tmp_path / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
-        if file.suffix == ".py":
-            *parents, module = Path(name).with_suffix("").parts[1:]
-            package = importlib.import_module(".".join(parents))
-            if str(file.parent) not in package.__path__:
-                monkeypatch.setattr(package, "__path__", [*package.__path__, str(file.parent)])
-            modules.append(f"{package.__name__}.{module}")
-    own = [o for o in overrides if not o.startswith(("generator.", "length."))]
-    yield [
-        *own,
-        f"hydra.searchpath=[file://{tmp_path}/conf]",
-        "generator.train.steps=8",
-        "length.train.steps=4",
-    ]
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> Iterator[Path]:
+    """Put the page's files where they would be, once: beside the package's modules, and on Hydra's path."""
+    root, modules = tmp_path_factory.mktemp("page"), []
+    with pytest.MonkeyPatch.context() as patch:
+        for name, text in BLOCK.findall(PAGE.read_text()):
+            file = root / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text)
+            if file.suffix == ".py":
+                *parents, module = Path(name).with_suffix("").parts[1:]
+                package = importlib.import_module(".".join(parents))
+                if str(file.parent) not in package.__path__:
+                    patch.setattr(package, "__path__", [*package.__path__, str(file.parent)])
+                modules.append(f"{package.__name__}.{module}")
+        yield root
     for module in modules:
         sys.modules.pop(module, None)
+
+
+@pytest.fixture
+def page(files, overrides) -> list[str]:
+    """Give the overrides of a micro run of the page's methods."""
+    own = [o for o in overrides if not o.startswith(("generator.", "length."))]
+    return [*own, f"hydra.searchpath=[file://{files}/conf]", "generator.train.steps=8", "length.train.steps=4"]
 
 
 def rows(overrides: list[str]) -> None:
@@ -109,6 +111,19 @@ def test_a_stage_that_builds_something_is_made_once_found_again_and_attached(pag
     for ours, theirs in zip(motions, again.generate(["a person walks", "a man jumps"], [40, 60], seed=1), strict=True):
         assert np.array_equal(ours.features, theirs.features)
     rows(own)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("generator.sampling.temperature=0", r"generator\.sampling\.temperature=0: must be a finite number > 0"),
+        ("generator.sampling.temperature=hot", r"generator\.sampling\.temperature=hot: must be"),
+        ("generator.model.width=0", r"generator\.model\.width=0: must be a whole number"),
+    ],
+)
+def test_a_wrong_option_of_the_pages_method_is_one_line(page, change, told):
+    with pytest.raises(ValueError, match=f"^{told}"):
+        run_stage(compose([*page, "method=independent", change]), "generator")
 
 
 def test_a_built_stage_is_part_of_the_fingerprints_of_those_who_read_it(page):

@@ -153,6 +153,14 @@ def test_what_may_be_written_still_stays(tmp_path, who):
     assert sorted(tmp_path.iterdir()) == sorted([own, new, tmp_path / "a.txt"])
 
 
+def test_a_folder_is_listed_once_however_many_files_are_written(tmp_path, monkeypatch):
+    listed, listdir = [], os.listdir
+    monkeypatch.setattr(os, "listdir", lambda folder: listed.append(str(folder)) or listdir(folder))
+    for number in range(20):
+        write_text(tmp_path / f"{number}.txt", "x")
+    assert listed == [str(tmp_path)]
+
+
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 @pytest.mark.parametrize("place", [replacing, new_folder, staging_folder])
 def test_a_full_disk_names_the_file_and_the_fix(tmp_path, code, place):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
 import pickle
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import FrozenInstanceError, dataclass, replace
 from typing import Annotated, Any
 
+import numpy as np
 import pytest
 from annotated_types import Len
 
@@ -84,6 +86,38 @@ def test_what_is_right_stays_as_it_is():
     assert pickle.loads(pickle.dumps(made)) == copy.deepcopy(made) == made
     with pytest.raises(FrozenInstanceError):
         made.steps = 3
+
+
+RIGHT = {
+    "steps": [np.int64(3), np.int32(3), np.uint8(3)],
+    "scale": [np.float64(0.5), np.float32(0.5), np.int64(2)],
+    "exact": [np.True_, np.False_],
+    "kind": [np.str_("fast")],
+    "span": [[np.float64(0), np.int64(1)], (np.float32(0), 1.0)],
+    "sizes": [np.int64(3)],
+}
+WRONG = {
+    "steps": [np.int64(0), np.float64(2), np.True_],
+    "scale": [np.float32(-1), np.float64("nan"), np.float32("inf"), np.True_],
+    "exact": [np.int64(1)],
+    "span": [[np.int64(2), 0.5]],
+    "sizes": [np.float64(3)],
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in RIGHT.items() for value in values])
+def test_numbers_of_numpy_are_numbers(name, value):
+    plain = np.asarray(value).tolist()
+    kept = getattr(replace(Example(), **{name: value}), name)
+    assert list(kept) == plain if name == "span" else kept == plain
+    json.dumps(kept)  # as they are saved with weights
+    assert type(Layer(np.int64(3), example=Example()).width) is int
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in WRONG.items() for value in values])
+def test_wrong_numbers_of_numpy_are_shown_as_numbers(name, value):
+    with pytest.raises(ValueError, match=rf"^Example\.{name}=[\d.\-\[\], ]*(true|NaN|Infinity)?: must be "):
+        replace(Example(), **{name: value})
 
 
 def test_constructors_are_checked_by_position_and_by_name():

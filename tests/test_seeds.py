@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from kinema import seeds
@@ -35,6 +36,13 @@ def test_item_seeds_differ_by_seed_epoch_and_item():
 def test_a_seed_that_torch_cannot_take_is_refused(seed):
     with pytest.raises(ValueError, match=rf"seed={seed}: must be a whole number"):
         seeds.request_seeds(seed, 2)
+
+
+def test_a_seed_that_numpy_drew_is_a_seed():
+    drawn = np.random.default_rng(0).integers(1000)
+    found = seeds.request_seeds(drawn, 2)
+    assert found == seeds.request_seeds(int(drawn), 2)
+    assert [type(seed) for seed in found] == [int, int]
 
 
 def test_seeds_are_derived_nowhere_else():

@@ -115,7 +115,7 @@ def _tag(sole: bool) -> str:
 def _remove_left(folder: Path, name: str, suffix: str = "") -> None:
     """Remove what killed processes left of a file or folder that is about to be written."""
     pattern = re.compile(re.escape(f".{name}") + _LEFT + re.escape(suffix))
-    for found in os.listdir(folder):
+    for found in _temporary(os.path.abspath(folder)):
         match = pattern.fullmatch(found)
         if match is None or not _is_left(folder / found, match["machine"], match["process"]):
             continue
@@ -123,6 +123,13 @@ def _remove_left(folder: Path, name: str, suffix: str = "") -> None:
             shutil.rmtree(folder / found, ignore_errors=True)
         else:
             (folder / found).unlink(missing_ok=True)
+
+
+@functools.lru_cache(maxsize=256)
+def _temporary(folder: str) -> tuple[str, ...]:
+    """List a folder's temporary names as this process first saw it: a listing a file would be quadratic."""
+    some = re.compile(r"\..+" + _LEFT + r"(\..*)?", re.DOTALL)
+    return tuple(name for name in os.listdir(folder) if some.fullmatch(name))
 
 
 def _is_left(path: Path, machine: str | None, process: str | None) -> bool:

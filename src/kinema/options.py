@@ -105,6 +105,8 @@ class Options:
     """
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            object.__setattr__(self, name, unboxed(value))
         check(type(self), vars(self), type(self).__name__)
 
 
@@ -114,8 +116,9 @@ def checked(init: Callable[Concatenate[Made, P], None]) -> Callable[Concatenate[
 
     @wraps(init)
     def checking(self: Made, /, *args: P.args, **kwargs: P.kwargs) -> None:
-        check(init, {**dict(zip(names, args, strict=False)), **kwargs}, type(self).__name__)
-        init(self, *args, **kwargs)
+        own, named = [unboxed(value) for value in args], {key: unboxed(value) for key, value in kwargs.items()}
+        check(init, {**dict(zip(names, own, strict=False)), **named}, type(self).__name__)
+        init(self, *own, **named)
 
     return checking
 
@@ -148,9 +151,20 @@ def check_value(value: Any, annotation: Any, key: str) -> None:
     from pydantic import ValidationError  # here: what makes no object doesn't pay for it
 
     try:
-        _adapter(annotation).validate_python(value)
+        _adapter(annotation).validate_python(unboxed(value))
     except ValidationError:
         raise ValueError(f"{key}={shown(value)}: must be {allowed(annotation)}") from None
+
+
+def unboxed(value: Any) -> Any:
+    """Return NumPy's scalars as Python's own, those in lists and tuples too; anything else as it is."""
+    import numpy as np  # here: --help must not pay for it
+
+    if isinstance(value, np.generic):
+        return value.item()
+    if type(value) in (list, tuple) and any(isinstance(one, np.generic) for one in value):
+        return type(value)(map(unboxed, value))
+    return value
 
 
 def allowed(annotation: Any) -> str:
@@ -171,6 +185,7 @@ def allowed(annotation: Any) -> str:
 
 def shown(value: Any) -> str:
     """Show a value as it is written in a configuration, shortened."""
+    value = unboxed(value)
     if isinstance(value, str) and re.fullmatch(r"[A-Za-z_][\w./:-]*", value) and value not in ("null", "true", "false"):
         text = value
     else:

@@ -42,6 +42,7 @@ def request_seeds(seed: int | None, size: int) -> list[int]:
     """Derive one seed per sample of a request; the first is the seed itself (drawn if None), so that it repeats all."""
     seed = secrets.randbelow(2**31) if seed is None else seed
     check_value(seed, Seed, "seed")
+    seed = int(seed)  # NumPy's are whole numbers too
     rest = (np.random.SeedSequence([seed, i]).generate_state(1, np.uint64)[0] for i in range(1, size))
     return [seed, *(int(s) >> 16 for s in rest)]
 

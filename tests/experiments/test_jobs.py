@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from kinema.experiments.config import CONF
 from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.tables import load_table, plan
+from kinema.runs.lines import append_line
 
 ANYWHERE = [file.stem for file in sorted((CONF / "table").glob("*.yaml")) if "only" not in load_table(file.stem)]
 """Tables that are not of one corpus alone."""
@@ -34,6 +37,25 @@ def test_what_most_wait_for_comes_first(micro_tables, tmp_path):
     jobs = missing_jobs(plan(load_table("table5"), [*micro_tables, f"paths.runs={tmp_path}"]), micro_tables)
     position = {job.makes: i for i, job in enumerate(jobs)}
     assert all(position[path] < position[job.makes] for job in jobs for path in job.reads)
+
+
+def test_a_line_without_a_judge_that_is_asked_for_leaves_the_job_unfinished(tmp_path):
+    line = {"replication": 0, "metrics": {}, "breakdowns": {}, "provenance": {}, "seconds": 1.0}
+    append_line(tmp_path / "replications.jsonl", {**line, "unread": ["contrastive"]})
+    without = Job(EVALUATE, (), tmp_path, replications=(0,), judges=frozenset({"matching"}))
+    whole = replace(without, judges=frozenset({"matching", "contrastive"}))
+    assert without.unfinished() is None
+    assert whole.unfinished() is not None
+    append_line(tmp_path / "replications.jsonl", line)
+    assert whole.unfinished() is None
+
+
+@pytest.mark.parametrize("unread", [[], ["evaluator.unread=[]"]])
+def test_a_job_knows_its_rows_judges(unread, micro_tables, tmp_path):
+    table = {**load_table("table5"), "rows": [{"key": "real", "kind": "real", "label": "real", "source": "real"}]}
+    own = [*micro_tables, f"paths.runs={tmp_path}", "evaluator=redundant", *unread]
+    (job,) = (job for job in missing_jobs(plan(table, own), own) if job.command == EVALUATE)
+    assert job.judges == ({"matching", "contrastive"} if unread else {"matching"})
 
 
 @pytest.mark.slow

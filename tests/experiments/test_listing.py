@@ -131,17 +131,74 @@ def test_info_of_what_is_no_run_is_one_line(runs, capsys):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("a: &a [1, 1]\nb: [*a, *a]\n", "aliases"),
-        ("- 1\n", "holds list"),
-        ("a: [1\n", "is damaged"),
-        ("\x00", "is damaged"),
-        ("a: !!python/object:os.system {}\n", "is damaged"),
+        ("a: &a [1, 1]\nb: [*a, *a]\n", "has an alias"),
+        ("- 1\n", "is no mapping"),
+        ("a: [1\n", "is no YAML"),
+        ("\x00", "is no YAML"),
+        ("a: !!python/object:os.system {}\n", "has the tag"),
     ],
 )
 def test_a_damaged_config_is_named(text, told, runs, capsys):
     run = make(runs, "generator/mmm-own-tiny-s0-000000000004")
     (run.path / "config.yaml").write_text(text)
     assert told in refused(capsys, "compare", str(run.path), str(run.path))
+
+
+DAMAGE = [
+    ("config.yaml", "a: &a [1, 1]\nb: [*a, *a]\n", "has an alias"),
+    ("config.yaml", "a: [", "is no YAML"),
+    ("config.yaml", "", "is empty"),
+    ("metrics.jsonl", '{"train/loss": 1.0}\n', "has 'step': it holds null"),
+    ("metrics.jsonl", '{"step": "three"}\n', "has 'step': it holds a text"),
+    ("metrics.jsonl", "5\n", "holds a number"),
+    ("metrics.jsonl", "[]\n", "holds a list"),
+    ("status.json", "{", "is damaged"),
+    ("status.json", "{}", "has 'state': it holds null"),
+    ("status.json", '{"state": "done", "step": "x"}', "has 'step': it holds a text"),
+]
+
+
+@pytest.mark.parametrize(("file", "content", "told"), DAMAGE)
+def test_a_damaged_run_has_a_line_and_the_list_goes_on(file, content, told, runs, capsys):
+    bad = make(runs, "generator/mmm-own-tiny-s0-000000000004", "pending")
+    make(runs, "generator/mmm-own-tiny-s1-000000000005", "done", step=24)
+    (bad.path / file).write_text(content)
+    table = said(capsys, "runs").splitlines()
+    assert [line.split()[0] for line in table[1:]] == ["damaged", "done"]
+    assert told in table[1]
+    assert len(said(capsys, "runs", "damaged").splitlines()) == 2
+    for command in (["info", str(bad.path)], ["compare", str(bad.path), str(bad.path)]):
+        assert told in refused(capsys, *command)
+
+
+@pytest.mark.parametrize("value", [5, "own", None, [], {"name": 5}, {"name": {"a": 1}}])
+def test_a_configuration_of_odd_values_is_listed(value, runs, capsys):
+    run = make(runs, "generator/mmm-own-tiny-s0-000000000004")
+    (run.path / "config.yaml").write_text(json.dumps({"data": value, "scale": value, "generator": value}))
+    assert said(capsys, "runs").splitlines()[1].startswith("done")
+    said(capsys, "info", str(run.path))
+    said(capsys, "compare", str(run.path), str(run.path))
+
+
+@pytest.mark.parametrize("provenance", [{}, {"runs": 5}, {"runs": {}}, {"runs": {"generator": 5}}])
+def test_an_evaluation_that_names_no_generator_is_nobodys(provenance, runs, capsys):
+    make(runs, "generator/mmm-own-tiny-s0-000000000004")
+    folder = score(runs, "mmm-own-tiny-s0-000000000004")
+    line = {"replication": 0, "metrics": {"fid": 1.0}, "breakdowns": {}, "provenance": provenance, "seconds": 1.0}
+    append_line(folder.path / "replications.jsonl", line)
+    assert "fid" not in said(capsys, "runs", "mmm").splitlines()[1]
+
+
+@pytest.mark.parametrize("other", [{"lengths": "predicted"}, {"protocol": {"split": "val"}}])
+def test_a_generator_has_the_scores_of_the_tables_rows_alone(other, runs, capsys):
+    run = "mmm-own-tiny-s0-000000000004"
+    make(runs, f"generator/{run}")
+    usual = {"runs": {"generator": run}, "lengths": "real", "protocol": {"split": "test"}}
+    for digest, fid, provenance in (("0123456789aa", 1.0, usual), ("0123456789ab", 7.0, usual | other)):
+        folder = make(runs, f"evaluation/generation-mmm-tiny-s0-{digest}")
+        line = {"replication": 0, "metrics": {"fid": fid}, "breakdowns": {}, "provenance": provenance, "seconds": 1.0}
+        append_line(folder.path / "replications.jsonl", line)
+    assert "fid 1.000" in next(line for line in said(capsys, "runs").splitlines() if f"generator/{run}" in line)
 
 
 def test_who_has_read_enough_is_no_error(tmp_path):

@@ -335,13 +335,14 @@ def test_a_table_on_a_split_of_its_own_keeps_the_judges_of_the_corpus(
     assert not (tmp_path / "reports").exists()
 
 
-def test_an_unknown_table_is_named_with_those_there_are(monkeypatch):
+def test_an_unknown_table_is_named_with_those_there_are(monkeypatch, capsys):
     with pytest.raises(FileNotFoundError, match=r"no table 'table55'; tables: .*table5"):
         load_table("table55")
     monkeypatch.setattr(tables, "CONF", Path("none"))
     with pytest.raises(SystemExit) as stopped:
         reproduce.main(["table5"])
-    assert str(stopped.value).startswith("error: there is no table 'table5'")
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith("error: there is no table 'table5'")
 
 
 def test_the_runs_behind_a_table_are_told_without_a_path_of_this_machine(complete, table, micro_tables, tmp_path):

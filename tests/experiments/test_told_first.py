@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 
-from kinema.experiments import training
+from kinema.data.store import PackedStore
+from kinema.experiments import evaluation, training
 from kinema.experiments.config import compose
+from kinema.experiments.corpus import open_corpus
 from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
+from kinema.experiments.stages import get_stage
 from kinema.runs import weights
 from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
+from kinema.training import latents
 from kinema.types import MotionBatch
 
 UNMARKED = "no class that is marked @buildable"
@@ -73,6 +82,20 @@ def test_a_run_of_another_method_is_told_with_the_method_to_add(overrides, momas
     with pytest.raises(ValueError, match="add method=momask_essential"):
         describe(cfg)
 
+    (momask / "config.yaml").write_text("a: &a [1, 1]\nb: [*a, *a]\n")
+    with pytest.raises(ValueError, match=r"config\.yaml has an alias"):
+        describe(cfg)
+
+
+def test_what_no_judge_of_a_row_reads_is_not_looked_for(overrides):
+    own = [o for o in overrides if not o.startswith("evaluator.tokens")]
+    row = [*own, "evaluator=redundant", "evaluator.tokens=clip_b16", "evaluator.tokens_path=/nowhere", "source=real"]
+    cfg = compose(row, "evaluate")
+    evaluation._check_reads(cfg, describe(cfg))
+    whole = compose([*row, "evaluator.unread=[]"], "evaluate")
+    with pytest.raises(FileNotFoundError, match="/nowhere"):
+        evaluation._check_reads(whole, describe(whole))
+
 
 @pytest.mark.parametrize("key", ["t2m", "clip"])
 def test_a_judge_that_is_another_run_is_told_before_the_generator_trains(overrides, momask, key):
@@ -80,17 +103,68 @@ def test_a_judge_that_is_another_run_is_told_before_the_generator_trains(overrid
     assert "holds a run of 'generator'; give the folder of a" in refused(cfg, "evaluate")
 
 
-def test_a_given_tokenizer_is_only_read(overrides, tmp_path, monkeypatch):
-    """Its latents and their lock lie in the cache where the user may not write beside it."""
+@pytest.fixture
+def theirs(overrides, tmp_path, monkeypatch) -> Callable[..., tuple[training.LatentCache, Path]]:
+    """Give a tokenizer's run of somebody else's, read by a generator: returns its latents, and where they lie."""
     cfg = compose([*overrides, f"paths.cache={tmp_path}/cache"])
-    run = RunFolder(tmp_path / "theirs")
-    run.path.mkdir()
-    assert training._latents_of(cfg, run, "0123456789ab") == run.path / "latents-0123456789ab"
-    monkeypatch.setattr("os.access", lambda *_: False)
-    place = training._latents_of(cfg, run, "0123456789ab")
-    assert place.is_relative_to(tmp_path / "cache" / "latents")
-    (run.path / "latents-0123456789ab").mkdir()  # its owner's, whole: nothing is to be written
-    assert training._latents_of(cfg, run, "0123456789ab") == run.path / "latents-0123456789ab"
+    store = PackedStore.open(open_corpus(cfg))
+    run = RunFolder(tmp_path / "theirs" / "tokenizer-0123456789ab")
+    tokenizer, spec = training.initial_model(get_stage("tokenizer"), cfg, store)
+    weights.save(tokenizer, spec, run.weights, part="tokenizer")
+    (run.path / "config.yaml").touch()
+
+    def read(*, may_write: bool) -> tuple[training.LatentCache, Path]:
+        model, _ = training.initial_model(get_stage("generator"), cfg, store)
+        recipe = training.make_recipe(training.plain(cfg.generator.train), store)
+        with monkeypatch.context() as patch:
+            if not may_write:  # who runs the tests may be root, whom no permission stops
+                forbid(patch, run.path)
+            found = training.generator_module(cfg, model, recipe, store, run).latents.value
+        return found, Path(found.values.base.filename).parent
+
+    return read
+
+
+def forbid(patch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Refuse to write into a folder, as the system does: when asked whether it may, and where it is tried."""
+    access, acquire, new = os.access, FileLock.acquire, latents.new_folder
+
+    def inside(path):
+        return Path(path).is_relative_to(folder)
+
+    def locked(self, *arguments, **options):
+        if inside(self.lock_file):
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return acquire(self, *arguments, **options)
+
+    def made(path, **options):
+        if inside(path):
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return new(path, **options)
+
+    patch.setattr(os, "access", lambda path, mode: access(path, mode) and not (inside(path) and mode & os.W_OK))
+    patch.setattr(FileLock, "acquire", locked)
+    patch.setattr(latents, "new_folder", made)
+
+
+def test_a_tokenizer_that_may_only_be_read_is_trained_on(theirs, tmp_path):
+    """Its whole latents are read as they are, without a lock; what isn't whole is made in the user's own cache."""
+    own = tmp_path / "cache" / "latents"
+    found, place = theirs(may_write=False)
+    assert place.is_relative_to(own)
+    made, shared = theirs(may_write=True)
+    assert shared.is_relative_to(tmp_path / "theirs")
+    assert np.array_equal(found.values, made.values)
+    shutil.rmtree(own)
+    before = sorted(tmp_path.glob("theirs/**/*"))
+    assert theirs(may_write=False)[1] == shared
+    assert not own.exists()
+    for damaged in ("offsets.npy", "meta.json"):
+        (shared / damaged).write_bytes(b"")
+        found, place = theirs(may_write=False)
+        assert place.is_relative_to(own)
+        assert np.array_equal(found.values, made.values)
+    assert sorted(tmp_path.glob("theirs/**/*")) == before
 
 
 @pytest.mark.parametrize("method", ["mardm_sit", "mmm", "momask", "mld"])

@@ -33,7 +33,7 @@ from kinema.runs.parts import link, read_text_encoder, upstream, write_text_enco
 from kinema.text.cache import CachedTextEncoder
 from kinema.text.hashed import HashedTextEncoder
 from kinema.text.words import word_vectors
-from kinema.training.checkpoint import AtomicCheckpointIO
+from kinema.training.checkpoint import CONTENT, AtomicCheckpointIO
 from kinema.training.dashboards.base import About, Dashboard
 from kinema.training.latents import LatentCache
 from kinema.training.record import LINE
@@ -95,6 +95,21 @@ def checkpoint(folder: Path) -> Read:
     content |= {"loops": {}, "callbacks": {}, "optimizer_states": [{"state": {}}], "lr_schedulers": []}
     files.save_checkpoint(content, folder / "last.ckpt")
     return lambda file: files.load_checkpoint(file)["global_step"]
+
+
+@pytest.mark.parametrize("key", CONTENT)
+@pytest.mark.parametrize("value", [None, 3, "x", [1], {"a": 1}, True, torch.zeros(2)], ids=repr)
+def test_every_key_of_a_checkpoint_is_of_its_kind(tmp_path, key, value):
+    checkpoint(tmp_path)
+    path, files = tmp_path / "last.ckpt", AtomicCheckpointIO(SHAPES)
+    content = torch.load(path, weights_only=True)
+    torch.save({**content, key: value}, path)
+    if isinstance(value, CONTENT[key]) and type(value) is not bool and key != "state_dict":
+        assert files.load_checkpoint(path)[key] == value
+        return
+    with pytest.raises(ValueError, match=rf"last\.ckpt (has '{key}': it holds|is of another model: )") as told:
+        files.load_checkpoint(path)
+    assert "\n" not in str(told.value)
 
 
 def module(folder: Path) -> Read:

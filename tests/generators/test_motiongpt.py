@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -443,7 +444,15 @@ def test_bad_input_is_named(make, call, message):
 
 
 def test_long_prompts_are_cut(make):
-    ids, mask = make(longest_prompt=8).words(["a person walks", "a person walks and " * 50], torch.device("cpu"))
+    words, texts = make(longest_prompt=8).words, ["a person walks", "a person walks and " * 50]
+    with pytest.warns(
+        UserWarning, match=r"MotionGPT reads 8 words of a prompt and cuts longer ones: 'a person walks and"
+    ):
+        ids, mask = words(texts, torch.device("cpu"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # it is said once
+        words(texts, torch.device("cpu"))
+        make(longest_prompt=8).words(texts[:1], torch.device("cpu"))
     assert ids.shape == (2, 8)
     assert ids[1, -1] == WORDS.index("</s>")
     assert mask.sum(1).tolist() == [4, 8]

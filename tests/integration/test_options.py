@@ -153,8 +153,21 @@ def test_a_cpu_does_not_compute_in_bf16_under_the_name_of_fp16(accelerator, monk
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
     with pytest.raises(ValueError, match=r"precision=16-mixed on a CPU computes in bf16.*bf16-mixed or 32-true"):
-        Machine(accelerator=accelerator, precision="16-mixed")
-    assert Machine(accelerator=accelerator, precision="bf16-mixed").precision == "bf16-mixed"
+        Machine(accelerator=accelerator, precision="16-mixed").device()
+    assert Machine(accelerator=accelerator, precision="bf16-mixed").device() == torch.device("cpu")
+
+
+@pytest.mark.parametrize("machine", [["trainer.precision=16-mixed"], ["trainer.accelerator=gpu"], ["trainer=gpu"]])
+def test_another_machine_is_planned_and_listed_here_and_refused_where_training_starts(overrides, machine, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
+    own = [*overrides, *machine, "trainer.precision=16-mixed"]
+    assert describe(compose([*own, "source=real"], "evaluate")).missing  # a login node without a GPU asks this
+    cfg = compose(own)
+    with pytest.raises(ValueError, match=r"precision=16-mixed on a CPU|cannot be used here") as told:
+        run_stage(cfg, "generator")
+    assert "\n" not in str(told.value)
+    assert not list(Path(cfg.paths.runs).rglob("config.yaml"))
 
 
 def test_debug_runs_are_short_and_kept_apart(overrides, tmp_path):

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from kinema.experiments.config import compose
-from kinema.experiments.evaluation import run_evaluation, scored_lines
+from kinema.experiments.evaluation import run_evaluation
+from kinema.experiments.replications import scored_lines
 
 ROOT = Path(__file__).parents[2]
 SOURCES = ("real", "shuffled", "reconstruction")

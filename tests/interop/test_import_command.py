@@ -19,6 +19,7 @@ from kinema.motion.formats.arrays import load_npz
 from kinema.pipeline import TextToMotion
 from kinema.runs import weights
 from kinema.runs.build import build
+from kinema.runs.consent import ask
 from kinema.runs.folder import read_about
 
 GOLDEN = {
@@ -70,8 +71,8 @@ def golden_import(golden_file, tmp_path, monkeypatch, make_clip):
             options += ["--set", "heads=4"]
         encoder = "clip_b32_77" if name in READS_WORDS else "clip_b32"
         options += ["--text", encoder, "--text-path", clip]
-        assert cli.main(["import", kind, f"{name}.tar", "--out", f"runs/{name}", *options]) == 0
-        return f"runs/{name}"
+        assert cli.main(["import", kind, f"{name}.tar", "--out", f"runs/{part}/{name}", *options]) == 0
+        return f"runs/{part}/{name}"
 
     return run
 
@@ -80,7 +81,9 @@ def golden_import(golden_file, tmp_path, monkeypatch, make_clip):
 def test_published_files_become_a_run_that_generates(golden_import, name):
     links = [word for part, of in CHAINS[name].items() for word in (f"--{part}", golden_import(of))]
     run = golden_import(name, *links, *(["--set", "words=all"] if name in READS_WORDS else []))
-    assert read_about(Path(run) / "upstream.json", dict) == {part: f"../{of}" for part, of in CHAINS[name].items()}
+    assert read_about(Path(run) / "upstream.json", dict) == {
+        part: f"../../{part}/{of}" for part, of in CHAINS[name].items()
+    }
     make = ["generate", "a man walks", "a man sits", "--run", run, "--seed", "3", "--device", "cpu"]
     assert cli.main([*make, "--frames", "41", "--out", "walk.npz"]) == 0
     walk, sit = (load_npz(f"walk-{i}.npz") for i in (1, 2))
@@ -94,9 +97,12 @@ def test_published_files_become_a_run_that_generates(golden_import, name):
     edited = load_npz("edited.npz").features
     assert np.array_equal(edited[:20], walk.features[:20])
     assert not np.array_equal(edited[20:], walk.features[20:])
-    # Links are relative: the runs may be moved together.
-    moved = shutil.move("runs", "elsewhere")
-    again = TextToMotion.from_run(f"{moved}/{name}", "cpu").generate(["a man walks", "a man sits"], 41, seed=3)
+    # Links are relative: the runs may be moved together; files of this machine are asked for anew.
+    moved = Path(shutil.move("runs", "elsewhere"), "generator", name)
+    with pytest.raises(ValueError, match=r"text\.json takes its text encoder from .*, which lies outside"):
+        TextToMotion.from_run(moved, "cpu")
+    ask(moved, "text", read_about(moved / "text.json", dict)["path"])
+    again = TextToMotion.from_run(moved, "cpu").generate(["a man walks", "a man sits"], 41, seed=3)
     np.testing.assert_array_equal(again[0].features, walk.features)
 
 
@@ -114,7 +120,7 @@ def test_shipped_deviations_are_not_divided_again(golden_import, name):
     std = weights.load(f"{golden_import(name)}/weights.safetensors")[0].representation.std
     assert std[[0, 3, -1]].tolist() == pytest.approx([0.1 / 25] * 3)
     assert std[10] == pytest.approx(0.1)
-    shutil.rmtree(f"runs/{name}")
+    shutil.rmtree(f"runs/tokenizer/{name}")
     std = weights.load(f"{golden_import(name, '--set', 'variant=raw')}/weights.safetensors")[0].representation.std
     assert std.unique().tolist() == pytest.approx([0.1])
 

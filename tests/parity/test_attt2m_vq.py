@@ -31,6 +31,19 @@ def model(tensors):
     return interop.load("attt2m-vq", {"net": state}, statistics=Statistics(np.zeros(263), std))
 
 
+def test_the_growth_of_the_dilations_is_an_option_of_encoder_and_decoder(tensors, model):
+    state = {k.removeprefix("sd."): v for k, v in tensors.items() if k.startswith("sd.")}
+    std = np.ones(263)
+    other = interop.load("attt2m-vq", {"net": state}, statistics=Statistics(np.zeros(263), std), dilation_growth=2)
+
+    def dilations(part):
+        return {layer.dilation[0] for layer in part.modules() if isinstance(layer, torch.nn.Conv1d)} - {1}
+
+    for name in ("encoder", "decoder"):
+        assert dilations(getattr(model, name)) == {3, 9}
+        assert dilations(getattr(other, name)) == {2, 4}
+
+
 @pytest.fixture
 def motion(tensors):
     return MotionBatch(tensors["in.x"], torch.full((2,), 24))

@@ -78,9 +78,10 @@ def model(parts) -> TextToMotion:
 def run(parts, tmp_path):
     """Give a generator's run folder as training leaves it, beside its tokenizer's and length estimator's."""
     for name, module in zip(("tokenizer", "generator", "length"), parts, strict=True):
-        weights.save(module, module.spec, tmp_path / "runs" / name / "weights.safetensors", part=name)
-        write_json(tmp_path / "runs" / name / "status.json", {"state": "done"})
-    folder = tmp_path / "runs" / "generator"
-    write_json(folder / "upstream.json", {"tokenizer": "../tokenizer"})
+        folder = tmp_path / "runs" / name / "one"
+        weights.save(module, module.spec, folder / "weights.safetensors", part=name)
+        write_json(folder / "status.json", {"state": "done"})
+    folder = tmp_path / "runs" / "generator" / "one"
+    write_json(folder / "upstream.json", {"tokenizer": "../../tokenizer/one"})
     write_json(folder / "text.json", {"encoder": "hashed", "path": None})
     return folder

@@ -117,9 +117,9 @@ def test_a_run_and_its_portable_copy_generate_the_same(model, run, tmp_path):
     expected = model.generate("a person walks", 22, seed=3)[0].features
     loaded = TextToMotion.from_run(run, "cpu")
     assert np.array_equal(loaded.generate("a person walks", 22, seed=3)[0].features, expected)
-    with_length = TextToMotion.from_run(run, "cpu", length=run.parent / "length")
+    with_length = TextToMotion.from_run(run, "cpu", length=run.parents[1] / "length" / "one")
     portable = with_length.save(tmp_path / "portable")
-    shutil.rmtree(run.parent)
+    shutil.rmtree(run.parents[1])
     shutil.move(portable, tmp_path / "elsewhere")
     again = TextToMotion.from_run(tmp_path / "elsewhere", "cpu")
     assert np.array_equal(again.generate("a person walks", 22, seed=3)[0].features, expected)
@@ -142,14 +142,18 @@ def test_unfit_run_folders_are_named(run):
             TextToMotion.from_run(folder, "cpu")
 
     fails(FileNotFoundError, "no run folder at", run / "none")
-    fails(ValueError, "holds a run of 'tokenizer'; give the folder of a 'generator' run", run.parent / "tokenizer")
+    fails(
+        ValueError,
+        "holds a run of 'tokenizer'; give the folder of a 'generator' run",
+        run.parents[1] / "tokenizer" / "one",
+    )
     write_json(run / "text.json", {"encoder": "nothing"})
     fails(ValueError, "unknown text encoder 'nothing'")
     (run / "text.json").unlink()
     fails(ValueError, r"text\.json names no encoder")
     (run / "upstream.json").write_text("{")
     fails(ValueError, r"upstream\.json is damaged")
-    write_json(run / "upstream.json", {"tokenizer": "../gone"})
+    write_json(run / "upstream.json", {"tokenizer": "../../tokenizer/gone"})
     write_json(run / "text.json", {"encoder": "hashed"})
     fails(FileNotFoundError, "no run folder at .*gone")
     (run / "weights.safetensors").unlink()

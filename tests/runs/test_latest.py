@@ -43,6 +43,17 @@ def test_it_is_the_last_that_finished(runs, asked, found):
     assert find_run(asked, runs).name.endswith(found)
 
 
+@pytest.mark.parametrize("content", ["{", "{}", "[]", '{"state": 5}'])
+def test_what_is_damaged_is_left_out_with_a_word(runs, content, capsys):
+    damaged = runs / "generator" / "mardm_sit-essential-synthetic-tiny-s0-0f" / "status.json"
+    damaged.parent.mkdir()
+    damaged.write_text(content)
+    assert find_run("latest:generator/mardm_sit", runs).name.endswith("0b")
+    told = capsys.readouterr().out
+    assert "status.json" in told
+    assert told.strip().endswith("left out")
+
+
 def test_a_path_stays_a_path(runs):
     assert find_run("somewhere/else") == Path("somewhere/else")
     assert find_run(runs / "generator") == runs / "generator"

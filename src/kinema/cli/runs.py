@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from kinema.experiments.listing import Listed, differences, find, judged, root_of
+from kinema.experiments.listing import DAMAGED, Listed, at, differences, find, judged, root_of
+from kinema.runs.console import printable
 from kinema.runs.folder import RunFolder
 from kinema.runs.latest import find_run
 from kinema.runs.parts import GENERATOR
@@ -25,11 +26,15 @@ def runs(options: argparse.Namespace) -> None:
         raise FileNotFoundError(f"{root.absolute()} holds no runs{of}")
     by_run = judged(root) if any(one.kind == GENERATOR for one in found) else {}
     rows = [("state", "step", "run", "corpus", "scale", "scores", "differs in")]
+    whole = [one for one in found if one.damage is None]
     for one in found:
-        corpus, scale = (one.config.get(key, {}).get("name", "") for key in ("data", "scale"))
+        if one.damage is not None:
+            rows.append((DAMAGED, "", one.name, "", "", "", one.damage))
+            continue
+        corpus, scale = (str(at(one.config, key) or "") for key in ("data.name", "scale.name"))
         scores = _scores(by_run.get(one.folder.path.name, one) if one.kind == GENERATOR else one)
-        rows.append((one.state, one.progress, one.name, corpus, scale, scores, _own(one, found)))
-    print(_aligned(rows))
+        rows.append((one.state, one.progress, one.name, corpus, scale, scores, _own(one, whole)))
+    print(printable(_aligned(rows)))
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -49,7 +54,7 @@ def compare(options: argparse.Namespace) -> None:
         rows.append((name, *(own[name].text(3) if name in own else "" for own in scores)))
     for letter, one in zip(rows[0][1:], found, strict=True):
         print(f"{letter} = {one.folder.path}")
-    print(_aligned([row for row in rows if any(row[1:])]))
+    print(printable(_aligned([row for row in rows if any(row[1:])])))
 
 
 def _scores(one: Listed) -> str:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -16,22 +15,11 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from kinema.experiments.config import CONF, explain, refuse_absent_slurm, refuse_processes, register_resolvers
+from kinema.experiments.refusals import refusals
 from kinema.signals import Interrupted, interruptible
 
 EXPECTED = (ValueError, OSError, ImportError)
 """What a user can mend: told in one line."""
-
-
-@contextlib.contextmanager
-def refusals() -> Iterator[None]:
-    """End with exit code 2, as `kinema` does, where sys.exit(TEXT) alone would give 1."""
-    try:
-        yield
-    except SystemExit as stop:
-        if not isinstance(stop.code, str):
-            raise
-        print(stop.code, file=sys.stderr)
-        raise SystemExit(2) from None
 
 
 @refusals()

@@ -13,14 +13,15 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.atomic import write_text
 from kinema.data.store import PackedStore
-from kinema.experiments.config import plain, validate
+from kinema.experiments.config import plain, read_config, validate
 from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
-from kinema.experiments.replications import REPLICATIONS, scored_lines
+from kinema.experiments.replications import REPLICATIONS, whole_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
+from kinema.experiments.stages.judge import JudgeStage
 from kinema.locks import attempt
 from kinema.registry import find_class
 from kinema.report.intervals import means
@@ -58,10 +59,14 @@ class Row:
         return self.judges | self.subject | {name: run for name, run in self.beside.items() if run is not None}
 
     @property
+    def asks(self) -> list[JudgeStage]:
+        """The stages of its judges."""
+        return [stage for stage in judges().values() if stage.name in self.judges]
+
+    @property
     def lines(self) -> list[dict[str, Any]]:
         """The results by replication, each at most once; those that lack a judge's scores don't count."""
-        whole = [line for line in scored_lines(self.folder.path) if not self.judges.keys() & line.get("unread", ())]
-        found = {line["replication"]: line for line in whole}
+        found = {line["replication"]: line for line in whole_lines(self.folder.path, self.judges)}
         return [found[r] for r in range(self.replications) if r in found]
 
     def mean(self, metric: str) -> float:
@@ -186,7 +191,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)
-    _check_reads(cfg)
+    _check_reads(cfg, row)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
     for stage in found:
@@ -210,23 +215,21 @@ def _check_method(cfg: DictConfig) -> None:
     theirs, ours = (find_class(found.get("_target_")) for found in (spec, plain(cfg.generator.model)))
     if theirs is not ours:
         saved = run / "config.yaml"
-        method = OmegaConf.select(OmegaConf.load(saved), "method.name") if saved.is_file() else None
+        method = OmegaConf.select(read_config(run), "method.name") if saved.is_file() else None
         fix = f"add method={method}" if method else f"add the method= whose generator is {theirs.__name__}"
         raise ValueError(
             f"run={run} is of {theirs.__name__}, the configuration of method={cfg.method.name} ({ours.__name__}); {fix}"
         )
 
 
-def _check_reads(cfg: DictConfig) -> None:
-    """Find the vocabularies, the text encoder and the sampling, which are read when every run is made."""
+def _check_reads(cfg: DictConfig, row: Row) -> None:
+    """Find the vocabularies and the text encoder, which are read when every run is made."""
     from kinema.experiments.instantiate import check_text  # here too
 
-    for stage in judges().values():
+    for stage in row.asks:
         stage.vocabulary(cfg)
     if cfg.source in ("generation", "nearest"):
         check_text(cfg)
-    if cfg.source == "generation":
-        build(plain(cfg.generator.sampling))
 
 
 def _check_judges(cfg: DictConfig, row: Row) -> None:
@@ -237,7 +240,7 @@ def _check_judges(cfg: DictConfig, row: Row) -> None:
         and cfg.representation.kind == "essential"
         and cfg.evaluator.representation != "essential"
     )
-    if lacking and any(stage.given(cfg) is None for stage in judges().values()):
+    if lacking and any(stage.given(cfg) is None for stage in row.asks):
         raise ValueError(
             f"evaluator={cfg.evaluator.name} reads {cfg.evaluator.representation} dims, method={cfg.method.name} makes "
             "essential ones alone; choose representation=redundant or evaluator=essential, or lift=true, which "

@@ -17,7 +17,7 @@ from types import FrameType
 from omegaconf import DictConfig
 
 from kinema.experiments.config import compose, refuse_processes
-from kinema.experiments.replications import scored_lines
+from kinema.experiments.replications import whole_lines
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.experiments.stages.base import Stage
@@ -33,20 +33,24 @@ FAREWELL = 2.0
 
 @dataclass(frozen=True)
 class Job:
-    """Hold one call of `kinema train` or `kinema evaluate`: the folder it finishes, and those it waits for."""
+    """Hold one call of `kinema train` or `kinema evaluate`: the folder it finishes, and those it waits for.
+
+    Of an evaluation, `replications` are those to score, with the scores of all `judges`.
+    """
 
     command: str
     overrides: tuple[str, ...]
     makes: Path
     reads: frozenset[Path] = frozenset()
     replications: tuple[int, ...] = ()
+    judges: frozenset[str] = frozenset()
 
     def unfinished(self) -> str | None:
         """Say why it isn't finished; None if it is."""
         if self.command == TRAIN:
             there = RunFolder(self.makes).done
         else:
-            there = set(self.replications) <= {line["replication"] for line in scored_lines(self.makes)}
+            there = set(self.replications) <= {line["replication"] for line in whole_lines(self.makes, self.judges)}
         if there:
             return None
         return RunFolder(self.makes).status.get("error") or "it ended before it was finished; its own output says more"
@@ -70,7 +74,9 @@ def missing_jobs(rows: Iterable[TableRow], shared: Sequence[str] = (), replicati
         for name, path in row.place.runs.items():
             if _add_stage(jobs, row.cfg, get_stage(name), trained) is not None:
                 reads.add(path)
-        whole = Job(EVALUATE, (*shared, *row.overrides), row.place.folder.path, frozenset(reads), row.place.missing)
+        place, own = row.place, (*shared, *row.overrides)
+        judges = frozenset(place.judges)
+        whole = Job(EVALUATE, own, place.folder.path, frozenset(reads), place.missing, judges)
         scored[whole.makes] = _divided(whole, replications)
     return [*_longest_first(jobs), *(job for parts in scored.values() for job in parts)]
 

@@ -9,8 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from kinema.evaluation.settings import EvaluationProtocol
+from kinema.experiments.config import LENGTHS, plain, read_config
 from kinema.experiments.replications import scored_lines
 from kinema.experiments.stages import stages
 from kinema.locks import attempt
@@ -19,7 +19,7 @@ from kinema.runs.folder import RunFolder
 from kinema.runs.lines import read_lines
 from kinema.runs.parts import GENERATOR
 
-EVALUATION = "evaluation"
+EVALUATION, DAMAGED = "evaluation", "damaged"
 SHARED = ("representation", "text", "data.options", "trainer.precision", "scale.protocol")
 """What a stage's run is chosen by beside its own part of the configuration."""
 APART = ("paths", "logger", "callbacks", "debug", "ensure", "trainer", "stage", "seed", "scale", "data", "replications")
@@ -45,11 +45,23 @@ class Listed:
     @cached_property
     def config(self) -> dict[str, Any]:
         """Read the configuration; an imported run has none."""
-        return read_config(self.folder.path)
+        run = self.folder.path
+        return plain(read_config(run)) if (run / "config.yaml").is_file() else {}
+
+    @cached_property
+    def damage(self) -> str | None:
+        """Say in one line what of it cannot be read; None for a run that is whole."""
+        try:
+            _ = self.folder.status, self.config, self.progress, self.scores()
+        except (ValueError, OSError) as error:
+            return " ".join(str(error).split())
+        return None
 
     @cached_property
     def state(self) -> str:
-        """Say how far it is; `killed` where it says running and no process is at it."""
+        """Say how far it is; `killed` if it says running and no process is at it, `damaged` if it can't be read."""
+        if self.damage is not None:
+            return DAMAGED
         state = self.folder.status["state"]
         return "killed" if state == "running" and not _held(self.folder.path) else state
 
@@ -63,11 +75,13 @@ class Listed:
     def progress(self) -> str:
         """Say which step it is at, and of how many: of an evaluation, replications."""
         if self.evaluates:
-            return f"{len(self.lines)}/{_at(self.config, 'scale.protocol.replications') or '?'}"
-        step = self.folder.status.get("step") if self.state == "done" else None
+            return f"{len(self.lines)}/{at(self.config, 'scale.protocol.replications') or '?'}"
+        status = self.folder.status
+        step = status.get("step") if status["state"] == "done" else None
         if step is None:
-            step = max((line["step"] for line in read_lines(self.folder.path / "metrics.jsonl")), default=None)
-        steps = _at(self.config, f"{self.node}.train.steps")
+            lines = read_lines(self.folder.path / "metrics.jsonl", {"step": int})
+            step = max((line["step"] for line in lines), default=None)
+        steps = at(self.config, f"{self.node}.train.steps")
         return "" if step is None else f"{step}/{steps}" if steps else str(step)
 
     @property
@@ -78,7 +92,7 @@ class Listed:
     @cached_property
     def settings(self) -> dict[str, Any]:
         """What was chosen for it, one value a dotted key: of a training, for its own stage."""
-        parts = {key: _at(self.config, key) for key in (self.node, *SHARED)}
+        parts = {key: at(self.config, key) for key in (self.node, *SHARED)}
         if self.evaluates:
             parts |= {key: value for key, value in self.config.items() if key not in APART}
         return {key: value for part, found in parts.items() for key, value in flatten(found, part).items()}
@@ -124,19 +138,21 @@ def find(root: Path, words: Sequence[str] = ()) -> list[Listed]:
     """Return the runs below a folder whose names hold all words, in the order of stages and names."""
     order = [*stages(), EVALUATION]
     found = [Listed(RunFolder(file.parent)) for file in root.glob("*/*/status.json")]
-    found = [one for one in found if all(word in f"{one.name} {one.folder.status['state']}" for word in words)]
+    found = [one for one in found if all(word in f"{one.name} {one.state}" for word in words)]
     return sorted(found, key=lambda one: (order.index(one.kind) if one.kind in order else len(order), one.name))
 
 
 def judged(root: Path) -> dict[str, Listed]:
     """Return the evaluation of each generator's own motion, by the name of its run; where there are several, the last.
 
-    Edits, predicted lengths and the like are evaluations of their own.
+    Edits, predicted lengths and splits other than the tables' are evaluations of their own.
     """
     found = {}
     for file in sorted((root / EVALUATION).glob("generation-*/replications.jsonl"), key=lambda f: f.stat().st_mtime_ns):
         one = Listed(RunFolder(file.parent))
-        if one.lines and (name := one.lines[0]["provenance"]["runs"].get(GENERATOR)):
+        name = at(one.provenance, f"runs.{GENERATOR}") if one.damage is None else None
+        own = {"lengths": LENGTHS[0], "protocol.split": EvaluationProtocol.split}
+        if isinstance(name, str) and all(at(one.provenance, key) in (None, value) for key, value in own.items()):
             found[name] = one
     return found
 
@@ -146,27 +162,6 @@ def differences(runs: Sequence[Listed]) -> list[dict[str, Any]]:
     keys = sorted({key for run in runs for key in run.settings})
     unlike = [key for key in keys if len({repr(run.settings.get(key)) for run in runs}) > 1]
     return [{key: run.settings.get(key) for key in unlike} for run in runs]
-
-
-def read_config(run: Path) -> dict[str, Any]:
-    """Read a run's config.yaml as plain data; an empty one where there is none.
-
-    Raises ValueError for a file that is damaged, or uses aliases: no run writes them, and few of them can stand for
-    more data than fits in memory.
-    """
-    path = run / "config.yaml"
-    if not path.is_file():
-        return {}
-    try:
-        text = path.read_text(encoding="utf-8")
-        if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
-            raise ValueError("it holds YAML aliases")
-        config = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is damaged ({' '.join(str(error).split())}); no run writes such a file") from None
-    if not isinstance(config, dict):
-        raise ValueError(f"{path} is damaged (it holds {type(config).__name__}, no options); no run writes such a file")
-    return config
 
 
 def flatten(value: Any, prefix: str = "") -> dict[str, Any]:
@@ -179,7 +174,8 @@ def flatten(value: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
-def _at(config: dict[str, Any], key: str) -> Any:
+def at(config: dict[str, Any], key: str) -> Any:
+    """Return what stands under a dotted key; None where nothing does."""
     value: Any = config
     for word in key.split("."):
         value = value.get(word) if isinstance(value, dict) else None

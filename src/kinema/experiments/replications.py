@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ LINE = {
     "breakdowns": Each(Each(Each(NUMBER))),
     "provenance": dict,
     "seconds": NUMBER,
+    "unread": list | None,
 }
 """What a replication's line holds."""
 
@@ -26,6 +28,15 @@ def scored_lines(folder: Path) -> list[dict[str, Any]]:
     Raises ValueError naming a line that is damaged: results are never made again in silence.
     """
     return read_lines(folder / REPLICATIONS, LINE)
+
+
+def whole_lines(folder: Path, judges: Collection[str]) -> list[dict[str, Any]]:
+    """Read the replications that have the scores of some judges: of an optional one a line may say that it lacks them.
+
+    Raises ValueError as `scored_lines`.
+    """
+    lines = scored_lines(folder)
+    return [line for line in lines if not any(name in judges for name in map(str, line.get("unread") or ()))]
 
 
 def over_seeds(found: list[list[dict[str, float]]]) -> list[dict[str, float]]:

@@ -17,6 +17,7 @@ from kinema.experiments.jobs import JobsFailedError, missing_jobs
 from kinema.experiments.launching import run_missing
 from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
+from kinema.experiments.refusals import refusals
 from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
 from kinema.report.index import write_site
@@ -27,8 +28,9 @@ from kinema.runs.parts import upstream
 from kinema.signals import Interrupted, interruptible
 
 
+@refusals()
 def main(arguments: list[str] | None = None) -> None:
-    """Parse the command line and reproduce the table or page."""
+    """Parse the command line and reproduce the table or page; exit 2 with one line for what fails."""
     parser = argparse.ArgumentParser(prog="kinema reproduce", description=__doc__)
     parser.add_argument("name", help="a file of conf/table or conf/page, for instance table5")
     parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")

@@ -21,6 +21,7 @@ from kinema.experiments.identity import fingerprint, run_identity
 from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
+from kinema.files.kinds import DamagedError
 from kinema.generators import LatentModel
 from kinema.motion.representation import Representation
 from kinema.options import Count, OneOf, Options, check, make
@@ -30,8 +31,9 @@ from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.seeds import training_seed
+from kinema.tokenizers import MotionTokenizer
 from kinema.training.fit import fit
-from kinema.training.latents import latent_source
+from kinema.training.latents import EncodeEachTime, LatentCache, latent_source
 from kinema.training.machine import Machine
 from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
@@ -52,7 +54,8 @@ def make_model(
     stage: FittedStage, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder
 ) -> Summary:
     """Fit a stage's model, or take it as it is built where it has no recipe, and write its weights."""
-    machine, device = Machine(**plain(cfg.trainer)), find_device(cfg.trainer.accelerator)
+    machine = Machine(**plain(cfg.trainer))
+    device = machine.device()
     machine.limit_threads()
     started, train = time.monotonic(), plain(stage.config(cfg)).get("train")
     recipe = make_recipe(train, store, debug_steps=cfg.debug.steps) if train else None
@@ -93,7 +96,7 @@ def make_model(
 
 def check_options(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> None:
     """Raise ValueError naming a machine that isn't there, or an option of the recipe that is wrong."""
-    find_device(cfg.trainer.accelerator)
+    Machine(**plain(cfg.trainer)).device()
     if train := plain(stage.config(cfg)).get("train"):
         make_recipe(train, store, at=f"{stage.node}.train")
 
@@ -143,24 +146,36 @@ def generator_module(
         return GeneratorModule(model, recipe, cfg.seed, crop_lengths, text)
     tokenizer = read_model(tokenizer_run.path)
     check_pair(tokenizer, model)
-    clips = [ClipDataset(store, split) for split in ("train", "val")]
-    # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
-    place = _latents_of(cfg, tokenizer_run, store.hash)
-    with RunFolder(place.parent).lock():
-        latents = latent_source(place, tokenizer, clips, device)
+    latents = _latents(cfg, tokenizer_run, tokenizer, store, device)
     model.prepare(tokenizer, latents)
     return GeneratorModule(model, recipe, cfg.seed, latents, text)
 
 
-def _latents_of(cfg: DictConfig, run: RunFolder, corpus: str) -> Path:
-    """Name the folder of a tokenizer's latents: in its run, which those share that are trained on it.
+def _latents(
+    cfg: DictConfig, run: RunFolder, tokenizer: MotionTokenizer, store: PackedStore, device: torch.device
+) -> LatentCache | EncodeEachTime:
+    """Look up what a tokenizer makes of the corpus: in its run, which those share that are trained on it.
 
-    Of a run that this user may only read they are kept in the cache.
+    Of a run that this user may only read, whole latents are read without a lock, and others kept in the cache.
     """
-    name = f"latents-{corpus}"
-    if os.access(run.path, os.W_OK) or (run.path / name).is_dir():
-        return run.path / name
-    return Path(cfg.paths.cache) / "latents" / fingerprint(run_identity(run.path)) / name
+    folder = run.path / f"latents-{store.hash}"
+    if not _writable(run):
+        try:
+            if folder.is_dir():
+                return LatentCache(folder)
+        except (DamagedError, OSError) as error:
+            console.print(f"[yellow]note[/]      {error!s}")
+        folder = Path(cfg.paths.cache) / "latents" / fingerprint(run_identity(run.path)) / folder.name
+    clips = [ClipDataset(store, split) for split in ("train", "val")]
+    # Two generators may start on one tokenizer at once: the second waits, and finds the latents.
+    with RunFolder(folder.parent).lock():
+        return latent_source(folder, tokenizer, clips, device)
+
+
+def _writable(run: RunFolder) -> bool:
+    """Say whether this user can hold a run's lock and write into it."""
+    lock = run.path / ".lock"
+    return os.access(run.path, os.W_OK) and (not lock.exists() or os.access(lock, os.W_OK))
 
 
 def crop_lengths(

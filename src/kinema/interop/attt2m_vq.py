@@ -27,10 +27,12 @@ def load(
     heads: int = 4,
     dropout: float = 0.2,
     mask_padding: bool = True,
+    dilation_growth: int = 3,
 ) -> nn.Module:
     """Load a published tokenizer with its body-part encoder; `heads` cannot be told from shapes.
 
-    `variant` as in `vq.load`; `mask_padding=False` lets padding leak into the clips' ends.
+    `variant` as in `vq.load`; `mask_padding=False` lets padding leak into the clips' ends. `dilation_growth` of the
+    residual stacks can't be told either.
     """
     state = {k.removeprefix("vqvae."): v for k, v in state.items()}
     parts = body_parts(state)
@@ -47,9 +49,11 @@ def load(
             **parts,
             "heads": heads,
             "dropout": dropout,
+            "dilation_growth": dilation_growth,
         },
         "auxiliary": "velocities",
         "mask_padding": mask_padding,
+        "dilation_growth": dilation_growth,
     }
     module = transfer_codes(spec, split_attention(state), rules(net["down_levels"]), kind=KIND)
     return fit_statistics(module, statistics)

@@ -56,9 +56,9 @@ def import_run(
     with new_folder(out) as folder:
         about = {"part": known.part, "kind": kind, "source": str(source)}
         weights.save(module, module.spec, RunFolder(folder).weights, **about)
-        link(folder, linked)
+        link(folder, linked, place=Path(out))
         if known.part in READS_TEXT:
-            write_text_encoder(folder, text, text_path)
+            write_text_encoder(folder, text, text_path, place=Path(out))
         RunFolder(folder).mark("done", imported=str(source))
     return module
 

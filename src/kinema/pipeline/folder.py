@@ -14,6 +14,7 @@ from kinema.atomic import new_folder
 from kinema.generators import Generator
 from kinema.pipeline.compatibility import check_representation
 from kinema.runs import weights
+from kinema.runs.consent import require_asked
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import (
     GENERATOR,
@@ -24,7 +25,6 @@ from kinema.runs.parts import (
     link,
     load_part,
     read_text_encoder,
-    require_asked,
     upstream,
     write_text_encoder,
 )
@@ -66,8 +66,8 @@ def _text_path(folder: Path, text: dict[str, Any]) -> str | None:
     path = text.get("path")
     if path is None or path == REPOSITORIES.get(text["encoder"]):
         return path
-    inside = Path(os.path.normpath(folder / path))
-    if inside.is_relative_to(folder) and inside.is_dir():
+    inside = Path(os.path.realpath(folder / path))
+    if inside.is_relative_to(folder.resolve()) and inside.is_dir():
         return str(inside)
     require_asked(folder, "text", path, f"{folder / TEXT} takes its text encoder from")
     return path
@@ -91,7 +91,7 @@ def write_parts(
         for name, module in parts.items():
             _write(module, staging / name, name)
         link(staging, {name: staging / name for name in parts})
-        write_text_encoder(staging, text["encoder"], text.get("path"))
+        write_text_encoder(staging, text["encoder"], text.get("path"), place=path)
         RunFolder(staging).mark("done")
 
 

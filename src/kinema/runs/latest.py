@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 
 LATEST = "latest:"
@@ -23,7 +24,7 @@ def find_run(run: str | Path, root: str | Path | None = None) -> Path:
     wanted = str(run).removeprefix(LATEST)
     stage, _, name = wanted.rpartition("/")
     who, *words = name.split("-")
-    finished = [folder.parent for folder in root.glob("*/*/status.json") if RunFolder(folder.parent).done]
+    finished = [file.parent for file in root.glob("*/*/status.json") if _done(RunFolder(file.parent))]
     found = [
         folder
         for folder in finished
@@ -38,3 +39,12 @@ def find_run(run: str | Path, root: str | Path | None = None) -> Path:
             f"{root.absolute()} holds no finished run {wanted!r} ({there}); train it, or give a run's folder"
         )
     return max(found, key=lambda folder: (folder / "status.json").stat().st_mtime_ns)
+
+
+def _done(run: RunFolder) -> bool:
+    """Say whether a run finished; of one that is damaged, that it is left out."""
+    try:
+        return run.done
+    except (ValueError, OSError) as error:
+        console.print(f"[yellow]note[/]      {error!s}; left out")
+        return False

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ import torch
 from kinema.atomic import write_json
 from kinema.files.json import Each
 from kinema.runs import weights
+from kinema.runs.consent import ask, require_asked
 from kinema.runs.folder import RunFolder, read_about
 
 GENERATOR, TOKENIZER, LENGTH = "generator", "tokenizer", "length"
@@ -27,9 +26,6 @@ DECOMPOSITION = "decomposition"
 
 UPSTREAM, TEXT = "upstream.json", "text.json"
 ENCODER = {"encoder": str, "path": str | None}
-
-ASKED = "asked"
-"""The folder of links to what a run reads outside of itself and its tree of runs."""
 
 
 def load_part(folder: Path, device: torch.device | str = "cpu", part: str | None = None) -> tuple[Any, dict[str, Any]]:
@@ -55,26 +51,29 @@ def check_part(folder: Path, part: str) -> None:
         raise ValueError(f"{folder} holds a run of {found!r}; give the folder of a {part!r} run")
 
 
-def link(run: Path, parts: Mapping[str, Path]) -> None:
-    """Write which runs hold a run's parts: relative paths, so that a tree of runs can be moved as a whole."""
+def link(run: Path, parts: Mapping[str, Path], *, place: Path | None = None) -> None:
+    """Write which runs hold a run's parts: relative paths, so that a tree of runs can be moved as a whole.
+
+    `place` is where the run will stand beside `run`, if it is being written.
+    """
     for name, part in parts.items():
-        if not _near(run, Path(os.path.abspath(part))):
-            _ask(run, name, os.path.abspath(part))
+        if not _near(run, name, part.resolve()):
+            ask(place or run, name, str(part.resolve()))
     write_json(run / UPSTREAM, {name: os.path.relpath(part, run) for name, part in parts.items()})
 
 
 def upstream(run: Path) -> dict[str, Path]:
     """Read which runs hold a run's parts; none where nothing was linked.
 
-    Raises ValueError for a part outside of the run's tree, unless it was asked for on this machine.
+    Raises ValueError for a part outside of the run's tree, unless this user asked for it.
     """
     return {name: _part(run, name, part) for name, part in read_about(run / UPSTREAM, Each(str)).items()}
 
 
-def write_text_encoder(run: Path, name: str, path: str | None) -> None:
-    """Write which text encoder a run's model reads."""
+def write_text_encoder(run: Path, name: str, path: str | None, *, place: Path | None = None) -> None:
+    """Write which text encoder a run's model reads; `place` as of `link`."""
     if path is not None:
-        _ask(run, "text", str(path))
+        ask(place or run, "text", str(path))
     write_json(run / TEXT, {"encoder": name, "path": path})
 
 
@@ -83,33 +82,15 @@ def read_text_encoder(run: Path) -> dict[str, Any]:
     return read_about(run / TEXT, ENCODER)
 
 
-def require_asked(run: Path, name: str, where: str, what: str) -> None:
-    """Raise ValueError unless somebody on this machine asked for a part of a run that lies outside of it.
-
-    Who trains or imports asks, and a symbolic link says so: what is only written in a file of the folder, which may
-    have come from anywhere, is not followed.
-    """
-    asked = run / ASKED / name
-    if not asked.is_symlink() or os.readlink(asked) != where:
-        command = f"mkdir -p {shlex.quote(str(run / ASKED))} && ln -sfn {shlex.quote(where)} {shlex.quote(str(asked))}"
-        raise ValueError(f"{what} {where!r}, which lies outside; if you trust that: {command}")
-
-
 def _part(run: Path, name: str, part: str) -> Path:
-    path = Path(os.path.normpath(run.resolve() / part))
-    if not _near(run, path):
+    path = Path(os.path.realpath(run / part))  # a link in the folder may lead anywhere
+    if not _near(run, name, path):
         require_asked(run, name, str(path), f"{run / UPSTREAM} takes its {name} from")
-    return path.resolve()
+    return path
 
 
-def _near(run: Path, path: Path) -> bool:
-    """Say whether a path lies in a run's folder or in its tree of runs, which is that of two folders above."""
-    return path.is_relative_to(run.resolve().parent.parent)
-
-
-def _ask(run: Path, name: str, where: str) -> None:
-    asked = run / ASKED / name
-    with contextlib.suppress(OSError):  # a disk without links: then whoever loads the run is told
-        asked.parent.mkdir(parents=True, exist_ok=True)
-        asked.unlink(missing_ok=True)
-        asked.symlink_to(where)
+def _near(run: Path, name: str, path: Path) -> bool:
+    """Say whether a part lies in a run's folder or in its tree of runs: one folder a stage, called as the part is."""
+    home = run.resolve()
+    stage = path.parent
+    return path.is_relative_to(home) or (stage.name == name and stage.parent == home.parent.parent)

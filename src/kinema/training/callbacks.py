@@ -58,6 +58,12 @@ def selected_state(trainer: Trainer, module: LightningModule) -> dict[str, Tenso
     return {k: v.detach().cpu().clone() for k, v in selected(trainer, module).state_dict().items()}
 
 
+def check_losses(module: LightningModule) -> None:
+    """Raise DivergedError if a training loss was not finite; every rank calls this at the same steps."""
+    if isinstance(module, StageModule):
+        module.check_losses()
+
+
 class Selection(Callback):
     """Keep the weights of the least value; they are part of the checkpoint, so a resumed run has them.
 
@@ -128,6 +134,7 @@ class Checkpoints(Callback):
 
     def _save(self, trainer: Trainer, module: LightningModule) -> None:
         if trainer.global_step < trainer.max_steps:
+            check_losses(module)
             check_weights(module, trainer.global_step)
             trainer.save_checkpoint(self.path)
             self.step = trainer.global_step

@@ -50,11 +50,11 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         """Read a checkpoint; one that is damaged or of another model is named together with what to do."""
         fix = "delete it to train this stage from the start"
         content = read_torch(path, device=map_location or "cpu", mapped=False, fix=fix)
-        wrong = fault(content, CONTENT)
-        found = {name: getattr(value, "shape", None) for name, value in content.get("state_dict", {}).items()}
-        if wrong is None and found != self.shapes:
-            odd = sorted(name for name in found.keys() | self.shapes.keys() if found.get(name) != self.shapes.get(name))
-            wrong = f"is of another model: {', '.join(odd[:3])} differ"
-        if wrong is not None:
+        if wrong := fault(content, CONTENT):
             raise refuse(path, wrong, fix)
+        found = {name: getattr(value, "shape", None) for name, value in content["state_dict"].items()}
+        if found != self.shapes:
+            names = sorted(found.keys() | self.shapes.keys(), key=str)
+            odd = [name for name in names if found.get(name) != self.shapes.get(name)]
+            raise refuse(path, f"is of another model: {', '.join(map(str, odd[:3]))} differ", fix)
         return content

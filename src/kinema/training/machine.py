@@ -22,7 +22,10 @@ PROGRESS = ("rich", "tqdm", "none")
 
 @dataclass(frozen=True)
 class Machine(Options):
-    """Say where and how to run: nothing of it changes what is computed (beyond rounding)."""
+    """Say where and how to run: nothing of it changes what is computed (beyond rounding).
+
+    It may be of another machine than this one, such as the nodes of a cluster.
+    """
 
     accelerator: Annotated[str, OneOf(ACCELERATORS)] = "auto"
     devices: Devices = 1
@@ -35,13 +38,15 @@ class Machine(Options):
     log_every: Count = 50
     extra: dict[str, Any] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.precision == "16-mixed" and find_device(self.accelerator).type == "cpu":
+    def device(self) -> torch.device:
+        """Find what is trained on; raises ValueError where it isn't there, or computes otherwise than asked for."""
+        device = find_device(self.accelerator)
+        if self.precision == "16-mixed" and device.type == "cpu":
             raise ValueError(
                 "trainer.precision=16-mixed on a CPU computes in bf16, under the identity of a run in fp16; choose "
                 "trainer.precision=bf16-mixed or 32-true"
             )
+        return device
 
     def limit_threads(self) -> None:
         """Use this many CPU threads from now on (None: as many as torch takes)."""

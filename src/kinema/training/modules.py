@@ -7,7 +7,7 @@ resumed run, or one on more processes, sees the draws of an uninterrupted single
 
 from __future__ import annotations
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import torch
 from lightning.pytorch import LightningModule
@@ -15,7 +15,7 @@ from lightning.pytorch.utilities.types import OptimizerLRScheduler
 from torch import Tensor, nn
 
 from kinema.seeds import training_seed
-from kinema.training.divergence import check_loss
+from kinema.training.divergence import FirstLoss, check_loss
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, Losses, MotionBatch, TextFeatures
 
@@ -60,6 +60,7 @@ class StageModule(LightningModule):
         self.recipe = recipe
         self.seed = seed
         self.call = Unregistered(None)
+        self.first = FirstLoss()
 
     def losses(self, batch: MotionBatch, generator: torch.Generator, shard: tuple[int, int]) -> Losses:
         """Return the named losses of one batch."""
@@ -78,20 +79,39 @@ class StageModule(LightningModule):
         return torch.Generator(device=self.device).manual_seed(training_seed(self.seed, *parts))
 
     def training_step(self, batch: MotionBatch, batch_idx: int) -> Tensor:
-        """Log the losses of a training batch and return the first; one that is not finite ends the training."""
+        """Log the losses of a training batch and return the first.
+
+        One that is not finite ends the training before anything of it is recorded or saved.
+        """
         generator = self._draws("train", self.global_step)
-        losses = self.losses(batch, generator, (self.global_rank, self.trainer.world_size))
-        # All ranks stop at once: one that went on would wait for the others' gradients.
-        finite = self.trainer.strategy.reduce_boolean_decision(bool(losses["loss"].isfinite()))
-        check_loss("training", losses["loss"], self.global_step + 1, finite=finite)
+        try:
+            losses = self.losses(batch, generator, (self.global_rank, self.trainer.world_size))
+        except (ValueError, RuntimeError):  # of numbers that weren't finite at a step before?
+            self.first.check(lambda number: number)
+            raise
+        self.first.see(losses["loss"], self.global_step + 1)
+        if (self.global_step + 1) % self.trainer.log_every_n_steps == 0:  # type: ignore[attr-defined]  # its connector's
+            self.check_losses()
         self.log_dict({f"train/{k}": v.detach() for k, v in losses.items()}, batch_size=len(batch.lengths))
         self.log("loss", losses["loss"].detach(), prog_bar=True, logger=False)
         return losses["loss"]
 
+    def check_losses(self) -> None:
+        """Raise DivergedError if a training loss was not finite, on any rank: all call this at the same steps."""
+        self.first.check(lambda number: cast(Tensor, self.all_gather(number)))
+
+    def on_validation_start(self) -> None:
+        """Validate nothing that has diverged."""
+        self.check_losses()
+
+    def on_train_end(self) -> None:
+        """Keep nothing that has diverged."""
+        self.check_losses()
+
     def validation_step(self, batch: MotionBatch, batch_idx: int) -> None:
         """Log the mean validation losses; the draws are the same at every validation, and so is every rank's batch."""
         losses = self.losses(batch, self._draws("val", batch_idx), (0, 1))
-        check_loss("validation", losses["loss"], self.global_step, finite=bool(losses["loss"].isfinite()))
+        check_loss("validation", losses["loss"], self.global_step)
         for name, value in losses.items():
             self.log(f"val/{name}", value, batch_size=len(batch.lengths), prog_bar=name == "loss")
 

@@ -13,7 +13,7 @@ from lightning.pytorch.utilities.seed import isolate_rng
 from torch import nn
 
 from kinema.runs.console import console
-from kinema.training.callbacks import Selection, selected, selected_state
+from kinema.training.callbacks import Selection, check_losses, selected, selected_state
 from kinema.training.modules import StageModule
 from kinema.training.pace import Pace
 from kinema.training.record import Record
@@ -34,7 +34,10 @@ class Observer(Callback):
     def on_train_batch_end(self, trainer: Trainer, pl_module: LightningModule, *_: Any) -> None:
         """Look, if it is time."""
         step = trainer.global_step
-        if not trainer.is_global_zero or (step % self.every and step != trainer.max_steps):
+        if step % self.every and step != trainer.max_steps:
+            return
+        check_losses(pl_module)
+        if not trainer.is_global_zero:
             return
         profiler: Profiler = trainer.profiler  # type: ignore[attr-defined]  # set by its connector
         with profiler.profile(Pace.ASIDE), isolate_rng():

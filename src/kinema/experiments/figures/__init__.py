@@ -7,7 +7,10 @@ import pkgutil
 import sys
 from collections.abc import Sequence
 
+from kinema.experiments.refusals import refusals
 
+
+@refusals()
 def main(arguments: Sequence[str]) -> None:
     """Draw the figure that the first word names; the other words are its own (`kinema figures NAME --help`)."""
     names = sorted(module.name for module in pkgutil.iter_modules(__path__))

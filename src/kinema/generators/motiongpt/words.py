@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ class Words(nn.Module):
         self.size = size
         self.longest = longest
         self._tokenizer: Any = None
+        self._told = False
 
     @property
     def tokenizer(self) -> Any:
@@ -44,9 +46,18 @@ class Words(nn.Module):
         return self._tokenizer
 
     def forward(self, texts: list[str], device: torch.device) -> tuple[Int[Tensor, "b l"], Bool[Tensor, "b l"]]:
-        """Return the ids, padded to the longest text and cut at `longest`, and the mask of real ones."""
+        """Return the ids, padded to the longest text and cut at `longest` (which is said once), and the mask."""
         # One by one: the tokenizer's own threads would not survive the forks of data workers.
-        rows = [self.tokenizer.encode(text).ids for text in texts]
+        found = [self.tokenizer.encode(text) for text in texts]
+        cut = next((text for text, one in zip(texts, found, strict=True) if one.overflowing), None)
+        if cut is not None and not self._told:
+            self._told = True
+            warnings.warn(
+                f"MotionGPT reads {self.longest} words of a prompt and cuts longer ones: {cut[:57]!r}...; say it in "
+                "fewer words, or train with a larger generator.model.longest_prompt",
+                stacklevel=2,
+            )
+        rows = [one.ids for one in found]
         lengths = torch.tensor([len(row) for row in rows])
         ids = torch.full((len(rows), int(lengths.max())), PAD)
         mask = frame_mask(lengths, ids.shape[1])

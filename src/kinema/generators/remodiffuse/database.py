@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.options import Number, Size, checked
 from kinema.registry import buildable
 from kinema.types import frame_mask
 
@@ -48,18 +49,19 @@ class RetrievalDatabase(nn.Module):
 
     spec: dict[str, Any] | None = None
 
+    @checked
     def __init__(
         self,
         *,
-        texts: int,
-        text_dim: int,
-        tokens: int,
-        token_dim: int,
-        frames: int,
-        frame_dim: int,
-        entries: int,
-        captions: int,
-        names: int,
+        texts: Number,
+        text_dim: Size,
+        tokens: Number,
+        token_dim: Size,
+        frames: Number,
+        frame_dim: Size,
+        entries: Number,
+        captions: Number,
+        names: Number,
     ) -> None:
         super().__init__()
         self.text_dim, self.token_dim, self.frame_dim = text_dim, token_dim, frame_dim
