@@ -42,7 +42,7 @@ KINDS = (
 SHELLS = ("bash", "zsh")
 PARTS = ("upper", "lower")
 MOTIONS = ".html .mp4 .npz .npy .png .bvh .glb .vrma"
-FORMATS = ("joints", "humanml3d", "kit", "synthetic")
+FORMATS = ("joints", "humanml3d", "kit", "synthetic", "bvh", "amc", "amass")
 EXPERIMENTS = {
     "train": ("kinema.experiments.entry:train", "fit a stage of a method or evaluator: stage=generator method=..."),
     "evaluate": ("kinema.experiments.entry:evaluate", "score one row of a table: source=generation method=..."),
@@ -199,6 +199,10 @@ def _parser() -> argparse.ArgumentParser:
     pack.add_argument("--skeleton", default="humanml3d", help="skeleton of joints and synthetic (default humanml3d)")
     pack.add_argument("--no-mirror", action="store_true", help="don't add left-right mirrored clips")
     pack.add_argument("--processes", type=int, help="processes that extract features")
+    captured = pack.add_argument_group("captures", "--format bvh, amc or amass: a folder of takes")
+    table = "CSV of file, start, end (seconds), caption, split; left out: pieces of nine seconds without captions"
+    captured.add_argument("--captions", metavar="FILE", help=table)
+    captured.add_argument("--smplh", metavar="FOLDER", help="the body models that AMASS needs (male/model.npz, ...)")
     _add_convention(pack)
     _add_settings(pack, "reader option, e.g. size=400 of synthetic; max_missing or max_unusable, shares of clips")
     _add_corpora(add("corpus", "build a corpus anew from what its owners publish", "corpora:corpus"))

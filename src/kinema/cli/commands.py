@@ -14,7 +14,8 @@ import torch
 
 from kinema.cli.convention import told
 from kinema.data import doctor as examine
-from kinema.data.prepare import check_reader, read_corpus
+from kinema.data.captures import SUFFIXES
+from kinema.data.prepare import check_reader, read_corpus, takes
 from kinema.data.prepare import prepare as write_store
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
@@ -104,15 +105,17 @@ def prepare(options: argparse.Namespace) -> None:
     """Turn a corpus into a packed store."""
     official = options.format in ("humanml3d", "kit")
     skeleton = options.format if official else options.skeleton
-    reader = "official" if official else options.format
-    written = {name: value for name, value in vars(told(options)).items() if value is not None}
+    reader = "official" if official else "captures" if options.format in SUFFIXES else options.format
+    written = vars(told(options)) | {"captions": options.captions, "smplh": options.smplh}
+    written = {name: value for name, value in written.items() if value is not None}
     limits = {name: options.set.pop(name) for name in ("max_missing", "max_unusable") if name in options.set}
     check(write_store, limits, "--set")
     check_reader(reader, written)
     check_reader(reader, options.set, "--set")
     processes = min(4, os.cpu_count() or 1) if options.processes is None else options.processes
     check_value(processes, Threads, "--processes")
-    settings = written | options.set | ({"skeleton": skeleton} if options.format != "joints" else {})
+    settings = written | options.set | ({"skeleton": skeleton} if takes(reader, "skeleton") else {})
+    settings |= {"format": options.format} if takes(reader, "format") else {}
     if (options.source is None) != (options.format == "synthetic"):
         needs = "takes no SOURCE" if options.source else "needs SOURCE, the corpus' folder"
         raise ValueError(f"--format {options.format} {needs}")

@@ -37,6 +37,7 @@ VERSION = 1
 
 READERS = {
     "joints": "kinema.data.catalog:read_joints_folder",
+    "captures": "kinema.data.captures:read_captures",
     "official": "kinema.data.catalog:read_official",
     "synthetic": "kinema.data.synthetic:synthetic_catalog",
 }
@@ -104,6 +105,7 @@ def prepare_store(
     module, _, _ = READERS[reader].partition(":")
     versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
     asked = [versions, reader, options, max_missing, max_unusable, reader_options, _listing(source)]
+    asked += [_stamp(value) for value in reader_options.values() if isinstance(value, str) and Path(value).is_file()]
     request = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:12]
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
     if _request_of(out) == request:
@@ -261,10 +263,14 @@ def _listing(source: str | Path | None) -> str:
     root, found = Path(source), hashlib.sha256()
     for folder, files in walk(root):
         for file in files:
-            status = os.stat(os.path.join(folder, file))
-            found.update(f"{os.path.relpath(folder, root)}/{file} {status.st_size} {status.st_mtime_ns}\n".encode())
+            stamp = _stamp(os.path.join(folder, file))
+            found.update(f"{os.path.relpath(folder, root)}/{file} {stamp}\n".encode())
     index = index_file(root)
     if index is not None and index.parent != root.absolute():
-        status = index.stat()
-        found.update(f"../index.csv {status.st_size} {status.st_mtime_ns}\n".encode())
+        found.update(f"../index.csv {_stamp(index)}\n".encode())
     return found.hexdigest()
+
+
+def _stamp(file: str | Path) -> str:
+    status = os.stat(file)
+    return f"{status.st_size} {status.st_mtime_ns}"

@@ -116,7 +116,10 @@ def guess_skeleton(path: Path) -> Skeleton:
         except (ValueError, OSError) as error:
             first = first or ValueError(f"{file}: {error}")
     if first is None:
-        raise FileNotFoundError(f"{path} has neither new_joint_vecs/*.npy nor joints/*.npy; is it a corpus folder?")
+        raise FileNotFoundError(
+            f"{path} has neither new_joint_vecs/*.npy nor joints/*.npy; is it a corpus folder? Captures are prepared "
+            "first (kinema prepare --format bvh, amc or amass), and the store is examined"
+        )
     raise first
 
 

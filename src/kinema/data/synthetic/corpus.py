@@ -12,6 +12,7 @@ from annotated_types import Interval, Len
 
 from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Catalog, Clip
+from kinema.data.splitting import split_of
 from kinema.data.synthetic import gestures, jumps, locomotion, postures  # noqa: F401 (they register their actions)
 from kinema.data.synthetic.bodies import Body, pose, rotation
 from kinema.data.synthetic.plan import ACTIONS, LONGEST, Action, Plan
@@ -22,7 +23,6 @@ from kinema.motion.skeleton import SKELETONS, get_skeleton
 from kinema.options import OneOf, Seed, Share
 from kinema.seeds import stream
 
-GOLDEN = (np.sqrt(5) - 1) / 2
 SEQUENCES = 0.2
 """Share of clips that show two actions, one after the other."""
 CAPTIONS = 3
@@ -97,11 +97,6 @@ def synthetic_joints(seed: int, index: int, skeleton: str) -> np.ndarray:
     turned = rotation(1, rng.uniform(-np.pi, np.pi))
     place = rng.normal(0, 1, 3) * [1, 0, 1] * body.leg
     return (pose(body, tracks) @ turned.T + place).astype(np.float32)
-
-
-def split_of(index: int, splits: Sequence[float]) -> str:
-    """Return a clip's split: the golden ratio spreads them so that any number of clips has about the wanted shares."""
-    return SPLITS[int(np.searchsorted(np.cumsum(splits)[:2], ((index + 1) * GOLDEN) % 1.0, side="right"))]
 
 
 def synthetic_clips(

@@ -1,0 +1,201 @@
+"""Read a folder of captures as a corpus: takes cut into clips, captions from a table, splits by take."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from kinema.data.captions import parse_line
+from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped
+from kinema.data.folders import stems
+from kinema.data.origin import CUT, Origin
+from kinema.data.splitting import split_of
+from kinema.files.csv import read_csv
+from kinema.motion.captures.amass import BodyModels, read_amass
+from kinema.motion.captures.capture import Capture
+from kinema.motion.captures.mapping import read_mapping
+from kinema.motion.captures.reading import READERS, Understood, captured_joints, read_capture
+from kinema.motion.convention import Convention
+from kinema.motion.skeleton import HUMANML3D
+from kinema.options import OneOf
+
+VERSION = 1
+"""Raised when the reader gives other clips of the same source."""
+
+SUFFIXES = {"bvh": ".bvh", "amc": ".amc", "amass": ".npz"}
+"""Files by the name of their format."""
+
+SHARES = (0.8, 0.1, 0.1)
+"""Of the takes, where the table says no split."""
+
+TABLE = "write columns file, start, end (seconds, empty: the whole take), caption, and split if you like"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Say how a take is read: its file, what is told of its joints, and the body models that AMASS needs."""
+
+    path: Path
+    told: Convention
+    models: Path | None = None
+
+    def capture(self) -> Capture:
+        """Read the file."""
+        if self.path.suffix.lower() in READERS:
+            return read_capture(self.path)
+        if self.models is None:
+            raise ValueError(f"{self.path}: AMASS holds poses of a body model; say where it is (--smplh FOLDER)")
+        return read_amass(self.path, BodyModels(self.models))
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Hold one row of the table: seconds [start, end) of a take, None to its end, and what is said of them."""
+
+    file: str
+    start: float
+    end: float | None
+    captions: tuple[str, ...]
+    split: str
+
+
+def read_captures(
+    path: str | Path,
+    *,
+    format: Annotated[str, OneOf(SUFFIXES)] = "bvh",
+    captions: str | None = None,
+    smplh: str | None = None,
+    up: str | None = None,
+    scale: Any = None,
+    fps: Any = None,
+    mapping: str | None = None,
+) -> Catalog:
+    """Read all captures of a format below a folder: joints by name, unit, upward axis and rate found or told.
+
+    `captions` is a table (CSV) of file, start, end, caption and split; rows of one stretch are its captions. Without it
+    every take is cut into pieces of nine seconds without captions. Splits are of takes: no two share one. `smplh` is
+    the folder of body models that AMASS needs. Raises ValueError for a table with a wrong row, naming it.
+    """
+    root = Path(path)
+    told = Convention(up=up, scale=scale, fps=fps, mapping=mapping)
+    spelled = (SUFFIXES[format], SUFFIXES[format].upper())
+    takes = {name: root / f"{name}{suffix}" for suffix in spelled for name in stems(root, suffix)}
+    if not takes:
+        raise FileNotFoundError(f"{root} holds no *{SUFFIXES[format]} (--format {format})")
+    shares = {name: split_of(i, SHARES) for i, name in enumerate(sorted(takes))}
+    models = None if smplh is None else Path(smplh)
+    clips, dropped, seen = list[Clip](), list[Dropped](), list[Understood]()
+    cuts = None if captions is None else _read_table(Path(captions), takes)
+    wanted = sorted(takes if cuts is None else cuts)
+    for name in wanted:
+        source = Source(takes[name], told, models)
+        try:
+            joints, understood = _read(source)
+            clips += _clips(name, source, len(joints), None if cuts is None else cuts[name], shares[name])
+            seen.append(understood)
+        except ValueError as error:
+            dropped.append(Dropped(name, shares[name], "clip", str(error), "capture", "see the message"))
+    clips.sort(key=lambda clip: SPLITS.index(clip.split))
+    others = f"; {len(takes) - len(wanted)} takes are not in the table" if len(wanted) < len(takes) else ""
+    return Catalog(clips, dropped, rate=_summary(seen) + others)
+
+
+def _clips(name: str, source: Source, size: int, cuts: list[Cut] | None, split: str) -> Iterator[Clip]:
+    """Cut one take: as the table says, or piece by piece."""
+    rate = HUMANML3D.fps
+    pieces = [Cut(name, start / rate, None, (), split) for start in range(0, size, CUT)] if cuts is None else cuts
+    for cut in pieces:
+        first = round(cut.start * rate)
+        last = min(first + CUT, size) if cuts is None else size if cut.end is None else round(cut.end * rate)
+        plain = re.sub(r"[^\w.+-]+", "_", name)
+        yield Clip(
+            plain if (first, last) == (0, size) else f"{plain}_{first:06d}",
+            cut.split or split,
+            [parse_line(caption) for caption in cut.captions],
+            {"take": name},
+            joints=partial(_piece, source, first, last),
+            origin=Origin(name, first, last),
+        )
+
+
+def _read_table(file: Path, takes: dict[str, Path]) -> dict[str, list[Cut]]:
+    """Read the table of captions: the stretches of each take, several rows of one being its captions."""
+    found: dict[tuple[str, float, float | None], list[str]] = {}
+    splits: dict[str, str] = {}
+    for number, row in enumerate(read_csv(file, "file", "caption", fix=TABLE), 2):
+        where = f"{file}, row {number}"
+        name = _take(row["file"] or "", takes, where)
+        start, end = _seconds(row.get("start"), where) or 0.0, _seconds(row.get("end"), where)
+        if end is not None and end <= start:
+            raise ValueError(f"{where}: end {end:g} is not after start {start:g}; seconds of the take are meant")
+        split = (row.get("split") or "").strip()
+        if split and split not in SPLITS:
+            raise ValueError(f"{where}: split {split!r}; choose one of {', '.join(SPLITS)}, or leave it empty")
+        if splits.setdefault(name, split) != split:
+            raise ValueError(f"{where}: {name} is in {splits[name]!r} above; a take belongs to one split")
+        caption = (row["caption"] or "").strip()
+        found.setdefault((name, start, end), []).extend([caption] if caption else [])
+    cuts: dict[str, list[Cut]] = {}
+    for (name, start, end), captions in found.items():
+        cuts.setdefault(name, []).append(Cut(name, start, end, tuple(captions), splits[name]))
+    return cuts
+
+
+def _take(written: str, takes: dict[str, Path], where: str) -> str:
+    """Find the take that a row names: by its path below the folder, or by its name where that is one take's alone."""
+    plain = re.sub(r"\.(bvh|amc|npz)$", "", written.strip().replace("\\", "/"), flags=re.IGNORECASE)
+    alike = [name for name in takes if name == plain] or [name for name in takes if Path(name).name == plain]
+    if len(alike) != 1:
+        what = f"is the name of {len(alike)} takes: write its path" if alike else "names no take of the folder"
+        raise ValueError(f"{where}: file {written!r} {what}; there are {', '.join(sorted(takes)[:3])}, ...")
+    return alike[0]
+
+
+def _seconds(value: str | None, where: str) -> float | None:
+    if value is None or not value.strip():
+        return None
+    try:
+        found = float(value)
+    except ValueError:
+        found = -1.0
+    if not 0 <= found < 1e6:
+        raise ValueError(f"{where}: {value!r} is no time; write seconds of the take, or nothing")
+    return found
+
+
+def _piece(source: Source, first: int, last: int) -> Float[np.ndarray, "t 22 3"]:
+    joints, _ = _read(source)
+    if len(joints) < last:
+        raise ValueError(f"{source.path} ends after {len(joints) / HUMANML3D.fps:.1f} s, before the clip does")
+    return joints[first:last]
+
+
+@lru_cache(maxsize=2)
+def _read(source: Source) -> tuple[Float[np.ndarray, "t 22 3"], Understood]:
+    """Read a take, the last ones kept: a take is cut into many clips."""
+    told = source.told
+    mapping = None if told.mapping is None else read_mapping(told.mapping)
+    joints, understood = captured_joints(
+        source.capture(), source.path, mapping=mapping, up=told.up, scale=told.scale, fps=told.fps
+    )
+    return joints.astype(np.float32), understood
+
+
+def _summary(seen: list[Understood]) -> str:
+    """Say how takes were read, those of one kind together."""
+    kinds: dict[str, list[float]] = {}
+    for one in seen:
+        scale = f"{'guessed ' if one.guessed_scale else ''}scale {one.scale:.4g}"
+        kinds.setdefault(f"{one.mapping}, {one.fps:g} fps, {one.up} up, {scale}", []).append(one.height)
+    takes = (
+        f"{len(heights)} of {kind}, bodies of {min(heights):.2f} to {max(heights):.2f} m"
+        for kind, heights in kinds.items()
+    )
+    return f"takes: {'; '.join(takes)}"

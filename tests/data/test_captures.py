@@ -1,0 +1,121 @@
+"""Folders of captures become corpora: takes cut as a table says, or in pieces; what cannot be read is left out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.motion.captures.conftest import bvh_text
+
+from kinema import cli
+from kinema.data.captures import read_captures
+from kinema.data.prepare import prepare, prepare_store
+from kinema.data.store import PackedStore
+from kinema.motion.recording import read_recording
+
+SECONDS = 12
+
+
+def swaying(seed: int) -> str:
+    """Write a take of a body that sways, at 30 frames per second."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(-12, 12, (1, 22, 3)) * np.sin(np.arange(SECONDS * 30) / 9)[:, None, None]
+    return bvh_text(angles)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Give a folder of four takes, one of them in a folder of its own."""
+    (tmp_path / "takes/day two").mkdir(parents=True)
+    for i, name in enumerate(("a", "b", "c", "day two/a")):
+        (tmp_path / "takes" / f"{name}.bvh").write_text(swaying(i))
+    return tmp_path / "takes"
+
+
+def table(folder, *rows: str) -> str:
+    file = folder.parent / "captions.csv"
+    file.write_text("\n".join(("file,start,end,caption,split", *rows)) + "\n")
+    return str(file)
+
+
+def test_a_table_says_what_is_cut_out_and_what_is_said_of_it(folder, tmp_path):
+    rows = ("b,0,4,somebody sways,train", "b.bvh,0,4,a person wiggles,train", "b,6.5,,they sway again,train")
+    catalog = read_captures(folder, captions=table(folder, *rows, "day two/a,,,one bows # twice,test"))
+    first, second, other = catalog
+    assert [c.caption.text for c in first.captions] == ["somebody sways", "a person wiggles"]
+    assert other.captions[0].caption.text == "one bows # twice"
+    whole = read_recording(folder / "b.bvh").joints
+    np.testing.assert_array_equal(first.joints(), whole[:80])
+    np.testing.assert_array_equal(second.joints(), whole[130:])
+    assert (second.origin.take, second.origin.start, second.origin.stop) == ("b", 130, len(whole))
+    assert [c.split for c in catalog] == ["train", "train", "test"]
+    assert "SMPL, 30 fps, y up" in catalog.rate
+    store = PackedStore.open(prepare(catalog, tmp_path / "store", name="mine", mirror=False))
+    assert store.num_clips == 3
+
+
+def test_without_a_table_takes_are_cut_in_pieces_and_none_straddles_two_splits(folder):
+    catalog = read_captures(folder)
+    assert [len(c.joints()) for c in catalog if c.origin.take == "a"] == [180, SECONDS * 20 - 180]
+    assert not any(c.captions for c in catalog)
+    splits = {take: {c.split for c in catalog if c.origin.take == take} for take in ("a", "b", "c", "day two/a")}
+    assert all(len(found) == 1 for found in splits.values())
+    assert len({c.name for c in catalog}) == len(catalog.clips) == 8
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ("x,0,2,a,", "row 2: file 'x' names no take"),
+        (",0,2,a,", "row 2: file '' names no take"),
+        ("b,2,1,a,", "row 2: end 1 is not after start 2"),
+        ("b,0,0,a,", "row 2: end 0 is not after start 0"),
+        ("b,-1,2,a,", "row 2: '-1' is no time"),
+        ("b,nan,2,a,", "row 2: 'nan' is no time"),
+        ("b,soon,2,a,", "row 2: 'soon' is no time"),
+        ("b,0,2,a,training", "row 2: split 'training'; choose one of train, val, test"),
+        ("b,0,2,a,train\nb,3,5,b,test", "row 3: b is in 'train' above; a take belongs to one split"),
+    ],
+)
+def test_a_wrong_row_is_named(folder, row, told):
+    with pytest.raises(ValueError, match=told):
+        read_captures(folder, captions=table(folder, row))
+
+
+def test_a_name_of_several_takes_needs_its_path(folder):
+    (folder / "day three").mkdir()
+    (folder / "day three/c2.bvh").write_text(swaying(5))
+    (folder / "day two/c2.bvh").write_text(swaying(6))
+    with pytest.raises(ValueError, match="is the name of 2 takes: write its path"):
+        read_captures(folder, captions=table(folder, "c2,0,2,a,"))
+    assert len(read_captures(folder, captions=table(folder, "day two/c2,0,2,a,"))) == 1
+
+
+def test_takes_that_cannot_be_read_and_cuts_beyond_an_end_are_left_out_with_the_reason(folder, tmp_path, capsys):
+    (folder / "broken.bvh").write_text(swaying(7)[:900])
+    (folder / "._a.bvh").write_bytes(b"\0\5\x16\7")
+    words = ["prepare", str(folder), "--format", "bvh", "--out", str(tmp_path / "store"), "--processes", "1"]
+    assert cli.main(words) == 0
+    assert "broken" in capsys.readouterr().out
+    rows = [f"{take},0,4,a person sways," for take in ("a", "b", "c", "day two/a")]
+    late = table(folder, *rows, "c,10,15,too late,")
+    assert cli.main([*words[:5], str(tmp_path / "late"), "--captions", late]) == 0
+    assert f"c.bvh ends after {SECONDS:.1f} s" in capsys.readouterr().out
+
+
+def test_another_table_is_another_corpus(folder, tmp_path):
+    def asked(*rows: str) -> str:
+        options = {"captions": table(folder, *rows)}
+        return prepare_store("captures", folder, tmp_path / "stores", name="x", **options).name
+
+    first = asked("a,0,4,a person sways,train", "b,0,4,b,val", "c,0,4,c,test")
+    assert asked("a,0,4,somebody else,train", "b,0,4,b,val", "c,0,4,c,test") != first
+
+
+def test_what_a_format_lacks_is_said(folder, tmp_path, capsys):
+    np.savez(folder / "pose.npz", poses=np.zeros((40, 156)), trans=np.zeros((40, 3)), mocap_framerate=np.array(120.0))
+    assert cli.main(["prepare", str(folder), "--format", "amass", "--out", str(tmp_path / "s")]) == 2
+    assert "say where it is (--smplh FOLDER)" in capsys.readouterr().err
+    assert cli.main(["prepare", str(folder), "--format", "amc", "--out", str(tmp_path / "s")]) == 2
+    assert "holds no *.amc" in capsys.readouterr().err
+    assert cli.main(["prepare", str(folder), "--format", "bvh", "--order", "limbs", "--out", str(tmp_path / "s")]) == 2
+    assert "order is no option; reader captures has captions" in capsys.readouterr().err
