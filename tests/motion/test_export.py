@@ -27,7 +27,7 @@ def motion(wander) -> Motion:
 @pytest.mark.parametrize("seed", [7, None])
 def test_npz_round_trip(motion, tmp_path, seed):
     kept = None if seed is None else np.arange(len(motion.joints)) < 3
-    back = load_npz(export.save(replace(motion, seed=seed, kept=kept), tmp_path / "new" / "m.npz"))
+    back = export.load_npz(export.save(replace(motion, seed=seed, kept=kept), tmp_path / "new" / "m.npz"))
     assert np.array_equal(back.kept, kept)
     np.testing.assert_array_equal(back.joints, motion.joints)
     np.testing.assert_array_equal(back.features, motion.features)

@@ -9,7 +9,7 @@ import numpy as np
 
 from kinema.atomic import replacing
 from kinema.motion.captures.capture import Capture
-from kinema.motion.formats.arrays import save_npy, save_npz
+from kinema.motion.formats.arrays import load_npz, save_npy, save_npz
 from kinema.motion.formats.bvh import bvh_text
 from kinema.motion.formats.glb import glb_bytes, vrma_bytes
 from kinema.motion.rig.changes import Changes
@@ -20,7 +20,7 @@ from kinema.motion.view.html import save_html
 from kinema.motion.view.video import save_mp4, save_strip
 from kinema.types import Motion
 
-__all__ = ["FORMATS", "save"]
+__all__ = ["FORMATS", "load_npz", "save"]
 
 
 def save(motion: Motion, path: str | Path, changes: Changes | None = None) -> Path:
