@@ -238,7 +238,7 @@ def test_clips_of_a_user_need_no_files(tmp_path):
 
 
 def test_unknown_reader_is_named(tmp_path):
-    with pytest.raises(ValueError, match="unknown reader 'zip'; choose one of joints, official"):
+    with pytest.raises(ValueError, match="unknown reader 'zip'; choose one of joints, captures, official"):
         prepare_store("zip", tmp_path, tmp_path, name="x")
 
 
