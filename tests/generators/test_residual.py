@@ -155,14 +155,17 @@ def test_condition_is_dropped_in_training_only():
 # Completion
 
 
+@pytest.mark.parametrize("padding", [True, False])
 @pytest.mark.parametrize("share_weights", SHARING)
-def test_completion_keeps_the_base_and_zeroes_padding(share_weights):
+def test_completion_keeps_the_base_and_zeroes_padding(share_weights, padding):
     base = latents(quantizers=1)
-    result = make(share_weights).complete(base, text(), seeds=SEEDS)
+    own = ResidualSampling(padding=padding)
+    result = make(share_weights).complete(base, text(), seeds=SEEDS, sampling=own)
     assert result.codes.shape == (3, 12, LAYERS)
     assert torch.equal(result.codes[..., :1][base.mask], base.codes[base.mask])
     assert not result.codes[~base.mask].any()
-    assert 0 <= result.codes.min() <= result.codes.max() < CODES
+    assert result.codes.min() == (-1 if padding else 0)  # -1: a layer that adds nothing, drawn as published
+    assert result.codes.max() < CODES
     assert torch.equal(result.lengths, base.lengths)
     assert torch.equal(result.frames, base.frames)
 
@@ -250,9 +253,9 @@ def test_free_positions_of_the_source_do_not_leak():
 
 def test_options_come_from_the_base_generator():
     sizes = {"codebook_size": CODES, "text_dim": 5, "width": 16, "layers": 1, "heads": 2}
-    options = {"residual_guidance": 6.0, "residual_temperature": 0.5, "residual_top_k": 0.0, "residual_padding": True}
+    options = {"residual_guidance": 6.0, "residual_temperature": 0.5, "residual_top_k": 0.0, "residual_padding": False}
     for base, sampling in ((MoMask(code_dim=6, **sizes), MoMaskSampling), (BAMM(code_dim=6, **sizes), BammSampling)):
-        assert base.residual_sampling(sampling(**options)) == ResidualSampling(6.0, 0.5, 0.0, True)
+        assert base.residual_sampling(sampling(**options)) == ResidualSampling(6.0, 0.5, 0.0, False)
     assert T2MGPT(**sizes).residual_sampling(GptSampling()) == ResidualSampling()
 
 

@@ -52,7 +52,7 @@ class BammSampling(Options):
     residual_guidance: NonNegative = 6.0
     residual_temperature: NonNegative = 1.0
     residual_top_k: OpenShare = 0.9
-    residual_padding: bool = False
+    residual_padding: bool = True
     official_inference: bool = False
 
     def draws(self, seeds: Int[Tensor, " b"]) -> TokenDraws:

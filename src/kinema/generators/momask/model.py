@@ -43,7 +43,7 @@ class MoMaskSampling(Options):
     residual_guidance: NonNegative = 5.0
     residual_temperature: NonNegative = 1.0
     residual_top_k: OpenShare = 0.9
-    residual_padding: bool = False
+    residual_padding: bool = True
 
 
 @dataclass

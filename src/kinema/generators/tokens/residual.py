@@ -36,7 +36,7 @@ class ResidualSampling(Options):
     guidance: NonNegative = 5.0
     temperature: NonNegative = 1.0
     top_k: OpenShare = 0.9
-    padding: bool = False
+    padding: bool = True
 
 
 @dataclass
