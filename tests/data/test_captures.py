@@ -10,6 +10,7 @@ from kinema import cli
 from kinema.data.captures import read_captures
 from kinema.data.prepare import prepare, prepare_store
 from kinema.data.store import PackedStore
+from kinema.data.synthetic import synthetic_clips
 from kinema.motion.recording import read_recording
 
 SECONDS = 12
@@ -119,3 +120,30 @@ def test_what_a_format_lacks_is_said(folder, tmp_path, capsys):
     assert "holds no *.amc" in capsys.readouterr().err
     assert cli.main(["prepare", str(folder), "--format", "bvh", "--order", "limbs", "--out", str(tmp_path / "s")]) == 2
     assert "order is no option; reader captures has captions" in capsys.readouterr().err
+
+
+def test_a_sheet_shows_what_was_understood(folder, tmp_path, capsys):
+    rows = [f"{take},0,4,a person <b>sways</b>," for take in ("a", "b", "c", "day two/a")]
+    words = ["prepare", str(folder), "--format", "bvh", "--captions", table(folder, *rows)]
+    assert cli.main([*words, "--out", str(tmp_path / "store"), "--processes", "1"]) == 0
+    cli.main(["doctor", str(tmp_path / "store"), "--sheet", str(tmp_path / "sheet.html")])
+    assert f"wrote {tmp_path}/sheet.html" in capsys.readouterr().out
+    page = (tmp_path / "sheet.html").read_text()
+    assert page.count("data-frames=") == 4  # no mirror images
+    assert "day_two_a" in page
+    assert "a person &lt;b&gt;sways" in page
+    assert cli.main(["doctor", str(tmp_path / "store"), "--sheet", "sheet.pdf"]) == 2
+    assert "name an .html file" in capsys.readouterr().err
+
+
+def test_a_sheet_of_one_file_shows_it_however_wrong_it_is(tmp_path):
+    lying = write_upturned(tmp_path / "clip.npy")
+    assert cli.main(["doctor", str(lying), "--sheet", str(tmp_path / "sheet.html")]) == 1
+    assert "clip.npy" in (tmp_path / "sheet.html").read_text()
+
+
+def write_upturned(file):
+    """Write a clip whose Y is no upward axis."""
+    joints = next(iter(synthetic_clips(size=1, seed=3))).joints()
+    np.save(file, joints[..., [0, 2, 1]] * [1, -1, 1])
+    return file

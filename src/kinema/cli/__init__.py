@@ -216,6 +216,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     check.add_argument("--source", metavar="FOLDER", help="the folder that the store was made from")
     check.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    check.add_argument("--sheet", metavar="FILE", help="a page (.html) to write: clips as they were understood")
     _add_convention(check)
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")

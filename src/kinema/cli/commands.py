@@ -135,13 +135,17 @@ def prepare(options: argparse.Namespace) -> None:
 def doctor(options: argparse.Namespace) -> int:
     """Examine a corpus, a store, one file of joints or what overrides name; exit code 1 if something is wrong."""
     path, source = options.what[0], options.source
+    if options.sheet is not None and Path(options.sheet).suffix != ".html":
+        raise ValueError(f"--sheet {options.sheet} is a page of players: name an .html file")
     if all("=" in word for word in options.what):
         cfg = compose(options.what)
         path, source = open_corpus(cfg), source or cfg.data.source
     elif len(options.what) > 1:
         raise ValueError(f"doctor takes one path, or KEY=VALUE overrides, not {' '.join(options.what)}")
-    findings = examine.diagnose(path, source=source, convention=told(options))
+    findings = examine.diagnose(path, source=source, convention=told(options), sheet=options.sheet)
     print(printable(examine.format(findings)))
+    if options.sheet is not None and Path(options.sheet).is_file():
+        print(printable(f"wrote {options.sheet}"))
     return examine.exit_code(findings, strict=options.strict)
 
 

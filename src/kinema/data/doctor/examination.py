@@ -10,6 +10,7 @@ from kinema.data.catalog import SPLITS
 from kinema.data.doctor import contents, likeness, nearness
 from kinema.data.doctor.finding import Finding
 from kinema.data.doctor.patient import Patient, from_folder, from_store
+from kinema.data.doctor.sheet import clip_sheet, corpus_sheet
 from kinema.data.doctor.sketch import sketch
 from kinema.data.folders import listed_names, stems
 from kinema.data.origin import read_index
@@ -20,18 +21,23 @@ from kinema.motion.recording import read_recording
 
 
 def diagnose(
-    target: str | Path | PackedStore, *, source: str | Path | None = None, convention: Convention = AS_IS
+    target: str | Path | PackedStore,
+    *,
+    source: str | Path | None = None,
+    convention: Convention = AS_IS,
+    sheet: str | Path | None = None,
 ) -> list[Finding]:
     """Examine a packed store, a corpus folder (joints or official layout) or one file of motion (.npy, .npz).
 
     `source` is the folder that a store was made from: its lists and files are then examined too. `index.csv` in the
     folder or beside it tells which clips come from one take; it and the lists are enough for that finding.
-    `convention` says how the joints of a folder or file are written. Raises FileNotFoundError if there is nothing at
+    `convention` says how the joints of a folder or file are written; `sheet` is a page to write that shows what was
+    understood. Raises FileNotFoundError if there is nothing at
     `target`, or `source` has no split files; ValueError for a convention of a store, whose joints are read already.
     """
     path = target.path if isinstance(target, PackedStore) else Path(target)
     if path.is_file():
-        return list(_one_motion(path, convention))
+        return list(_one_motion(path, convention, sheet))
     if not path.is_dir():
         raise FileNotFoundError(f"{path} is no packed store, corpus folder or file of motion; check the path")
     packed = (path / "manifest.json").is_file() and (path / "features.f32").is_file()
@@ -49,6 +55,8 @@ def diagnose(
             patient = from_folder(path, convention)
     except (ValueError, FileNotFoundError) as error:
         return [*findings, Finding("error", "unreadable", str(error), "see the message; then examine it again")]
+    if sheet is not None:
+        corpus_sheet(patient, sheet)
     return findings + list(_examine(patient))
 
 
@@ -105,13 +113,15 @@ def _listed_takes(folder: Path, where: dict[str, list[str]]) -> Iterator[Finding
     yield from nearness.takes(list(where), [splits[0] for splits in where.values()], mirrored, origins)
 
 
-def _one_motion(file: Path, convention: Convention) -> Iterator[Finding]:
+def _one_motion(file: Path, convention: Convention, sheet: str | Path | None) -> Iterator[Finding]:
     try:
         found = read_recording(file, convention)
     except ValueError as error:
         yield Finding("error", "unreadable", str(error), "see the message; then examine it again")
         return
     length, skeleton = len(found.joints), found.skeleton
+    if sheet is not None:
+        clip_sheet(found.joints, file.name, skeleton.name, skeleton.fps, sheet)
     seconds = f"{length} frames of {skeleton.name}, {length / skeleton.fps:.1f} s"
     yield Finding("info", "counts", f"{file.name}: {seconds} ({found.note})")
     for problem in found.problems():
