@@ -73,6 +73,7 @@ def test_without_a_table_takes_are_cut_in_pieces_and_none_straddles_two_splits(f
         ("b,-1,2,a,", "row 2: '-1' is no time"),
         ("b,nan,2,a,", "row 2: 'nan' is no time"),
         ("b,soon,2,a,", "row 2: 'soon' is no time"),
+        ("b,0,2,a#b/NOUN#c,", "row 2: caption line .* has three fields"),
         ("b,0,2,a,training", "row 2: split 'training'; choose one of train, val, test"),
         ("b,0,2,a,train\nb,3,5,b,test", "row 3: b is in 'train' above; a take belongs to one split"),
     ],
@@ -80,6 +81,15 @@ def test_without_a_table_takes_are_cut_in_pieces_and_none_straddles_two_splits(f
 def test_a_wrong_row_is_named(folder, row, told):
     with pytest.raises(ValueError, match=told):
         read_captures(folder, captions=table(folder, row))
+
+
+def test_cuts_that_begin_together_and_takes_that_are_spelled_alike_are_told_apart(folder):
+    catalog = read_captures(folder, captions=table(folder, "b,0,2,a,", "b,0,4,b,", "b,,,c,"))
+    assert len({clip.name for clip in catalog}) == 3
+    (folder / "day_two").mkdir()
+    (folder / "day_two/a.bvh").write_text(swaying(8))
+    with pytest.raises(ValueError, match="'day two/a' and 'day_two/a' would make clips of one name"):
+        read_captures(folder)
 
 
 def test_a_name_of_several_takes_needs_its_path(folder):

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 from jaxtyping import Float
 
-from kinema.data.captions import parse_line
+from kinema.data.captions import AnnotatedCaption, parse_line
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped
 from kinema.data.folders import stems
 from kinema.data.origin import CUT, Origin
@@ -62,7 +62,7 @@ class Cut:
     file: str
     start: float
     end: float | None
-    captions: tuple[str, ...]
+    captions: tuple[AnnotatedCaption, ...]
     split: str
 
 
@@ -100,8 +100,9 @@ def read_captures(
             joints, understood = _read(source)
             clips += _clips(name, source, len(joints), None if cuts is None else cuts[name], shares[name])
             seen.append(understood)
-        except ValueError as error:
+        except (ValueError, FileNotFoundError) as error:  # an .amc without its .asf
             dropped.append(Dropped(name, shares[name], "clip", str(error), "capture", "see the message"))
+    _check_names(clips)
     clips.sort(key=lambda clip: SPLITS.index(clip.split))
     others = f"; {len(takes) - len(wanted)} takes are not in the table" if len(wanted) < len(takes) else ""
     return Catalog(clips, dropped, rate=_summary(seen) + others)
@@ -116,18 +117,28 @@ def _clips(name: str, source: Source, size: int, cuts: list[Cut] | None, split: 
         last = min(first + CUT, size) if cuts is None else size if cut.end is None else round(cut.end * rate)
         plain = re.sub(r"[^\w.+-]+", "_", name)
         yield Clip(
-            plain if (first, last) == (0, size) else f"{plain}_{first:06d}",
+            plain if (first, last) == (0, size) else f"{plain}_{first:06d}_{last:06d}",
             cut.split or split,
-            [parse_line(caption) for caption in cut.captions],
+            list(cut.captions),
             {"take": name},
             joints=partial(_piece, source, first, last),
             origin=Origin(name, first, last),
         )
 
 
+def _check_names(clips: list[Clip]) -> None:
+    """Raise ValueError for takes whose names are one where only letters, digits and `+-.` are left of them."""
+    takes: dict[str, str] = {}
+    for clip in clips:
+        if takes.setdefault(clip.name, clip.fields["take"]) != clip.fields["take"]:
+            raise ValueError(
+                f"takes {takes[clip.name]!r} and {clip.fields['take']!r} would make clips of one name; rename one"
+            )
+
+
 def _read_table(file: Path, takes: dict[str, Path]) -> dict[str, list[Cut]]:
     """Read the table of captions: the stretches of each take, several rows of one being its captions."""
-    found: dict[tuple[str, float, float | None], list[str]] = {}
+    found: dict[tuple[str, float, float | None], list[AnnotatedCaption]] = {}
     splits: dict[str, str] = {}
     for number, row in enumerate(read_csv(file, "file", "caption", fix=TABLE), 2):
         where = f"{file}, row {number}"
@@ -141,7 +152,11 @@ def _read_table(file: Path, takes: dict[str, Path]) -> dict[str, list[Cut]]:
         if splits.setdefault(name, split) != split:
             raise ValueError(f"{where}: {name} is in {splits[name]!r} above; a take belongs to one split")
         caption = (row["caption"] or "").strip()
-        found.setdefault((name, start, end), []).extend([caption] if caption else [])
+        said = found.setdefault((name, start, end), [])
+        try:
+            said += [parse_line(caption)] if caption else []
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from None
     cuts: dict[str, list[Cut]] = {}
     for (name, start, end), captions in found.items():
         cuts.setdefault(name, []).append(Cut(name, start, end, tuple(captions), splits[name]))

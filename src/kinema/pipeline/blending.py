@@ -43,7 +43,7 @@ def blended(
     those that joints are recovered from. Where a new stretch is shorter than `frames`, it fades within the stretch.
     """
     size, width = result.features.shape[1], min(columns, result.features.shape[2])
-    keep = keep[:, :size].expand(-1, -1, result.features.shape[2])[..., :width] & result.mask[..., None]
+    keep = keep[:, :size, :width] & result.mask[..., None]
     made = result.features[..., :width]
     missed = torch.where(keep, source[:, :size, :width] - made, 0)
     before, behind = _nearest_before(keep), size - 1 - _nearest_before(keep.flip(1)).flip(1)
