@@ -261,7 +261,7 @@ def test_errors_are_one_line_and_exit_with_2(run, capsys):
     fails(capsys, [*make, "--frames", "500"], "length 500 is out of range; allowed: 1 to 196")
     fails(capsys, [*make, "--frames", "8", "--set", "step=2"], "unknown sampling field 'step'; allowed: steps")
     fails(capsys, [*make, "--frames", "8", "--set", "steps"], "--set steps is no KEY=VALUE")
-    fails(capsys, [*make[:-1], "a.gif", "--frames", "8"], "--out a.gif has no known suffix; choose one of .html")
+    fails(capsys, [*make[:-1], "a.gif", "--frames", "8"], "unknown suffix '.gif', choose one of .html")
     fails(capsys, ["generate", " ", "--run", str(run), "--out", "a.npz", "--frames", "8"], "text 0 is empty")
     fails(capsys, ["generate", "x", "--run", "runs/none", "--out", "a.npz"], "no run folder at runs/none")
     fails(capsys, ["generate", "x", "--run", "runs/ae", "--out", "a.npz"], "give the folder of a 'generator' run")

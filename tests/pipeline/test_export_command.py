@@ -7,6 +7,7 @@ import pytest
 
 from kinema import cli
 from kinema.data.synthetic import synthetic_catalog
+from kinema.motion.captures.bvh import read_bvh
 from kinema.motion.formats.arrays import load_npz
 
 
@@ -28,7 +29,14 @@ def test_what_was_exported_comes_back_whatever_its_axes_and_rate(walk, tmp_path,
     assert np.linalg.norm(back - own, axis=-1).mean() < 0.01
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".vrma", ".bvh", ".html"])
+def test_a_bvh_in_metres_is_a_hundredth_of_one_in_centimetres(walk, tmp_path):
+    for unit in ("cm", "m"):
+        assert cli.main(["export", str(walk), "--out", str(tmp_path / f"{unit}.bvh"), "--unit", unit]) == 0
+    large, small = (read_bvh(tmp_path / f"{unit}.bvh") for unit in ("cm", "m"))
+    np.testing.assert_allclose(large.positions / 100, small.positions, atol=1e-4)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".vrma", ".bvh", ".amass.npz", ".html"])
 def test_every_format_is_written(suffix, walk, tmp_path):
     assert cli.main(["export", str(walk), "--out", str(tmp_path / f"a{suffix}")]) == 0
     assert (tmp_path / f"a{suffix}").stat().st_size > 5000
@@ -44,7 +52,8 @@ def test_held_feet_are_told_and_stand_where_the_capture_stood(walk, tmp_path, ca
     ("words", "message"),
     [
         (["--out", "a.npz", "--loop"], "write one of these"),
-        (["--out", "a.glb", "--z-up"], "Y up by its specification"),
+        (["--out", "a.glb", "--z-up"], "up axis and unit of .glb are set by its specification"),
+        (["--out", "a.vrma", "--unit", "m"], "--unit are options of .bvh"),
         (["--out", "a.doc"], "unknown suffix"),
         (["--out", "a.bvh", "--rate", "0"], "--rate=0"),
         (["--out", "a.bvh", "--rate", "1e9"], "--rate=1"),

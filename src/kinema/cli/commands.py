@@ -201,11 +201,10 @@ def _model(options: argparse.Namespace) -> TextToMotion:
 def _files(out: str, count: int) -> list[Path]:
     """Name the files of `count` motions; all go into one .html, else several are numbered."""
     path = Path(out)
-    if path.suffix not in export.FORMATS:
-        raise ValueError(f"--out {out} has no known suffix; choose one of {', '.join(export.FORMATS)}")
-    if count == 1 or path.suffix == ".html":
+    ending = export.format_of(path)
+    if count == 1 or ending == ".html":
         return [path]
-    return [path.with_stem(f"{path.stem}-{i}") for i in range(1, count + 1)]
+    return [path.with_name(f"{path.name.removesuffix(ending)}-{i}{ending}") for i in range(1, count + 1)]
 
 
 def _stayed(motion: Motion, kept: np.ndarray, skeleton: Skeleton) -> str:

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from kinema.cli.convention import told
 from kinema.motion import export as write
+from kinema.motion.captures.capture import Capture
 from kinema.motion.feet import lock_feet
 from kinema.motion.physics import foot_skating
 from kinema.motion.recording import read_recording
 from kinema.motion.rig.changes import Changes, Degrees, FrameRate
-from kinema.motion.rig.fit import fit_rig
-from kinema.motion.rig.pose import rest_pose
 from kinema.motion.skeleton import Skeleton, get_skeleton
 from kinema.options import check_value
 from kinema.types import Motion
@@ -35,9 +33,10 @@ def export(options: argparse.Namespace) -> None:
         # A capture's floor is where its feet are; that of features is at 0.
         floor = float(motion.joints[..., 1].min()) if recording.features is None else 0.0
         motion = _standing(motion, skeleton, floor)
-    changes = Changes(options.rate, options.in_place, options.facing, options.loop, options.z_up)
+    changes = Changes(options.rate, options.in_place, options.facing, options.loop, options.z_up, options.unit)
     path = write.save(motion, options.out, changes)
-    print(f"wrote {path}{_fit(motion) if Path(path).suffix in write.RIGGED else ''}")
+    rigged = write.RIGGED.get(write.format_of(path))
+    print(f"wrote {path}{'' if rigged is None else _fit(motion, rigged.fit(motion))}")
 
 
 def _standing(motion: Motion, skeleton: Skeleton, floor: float) -> Motion:
@@ -54,9 +53,8 @@ def _standing(motion: Motion, skeleton: Skeleton, floor: float) -> Motion:
     return replace(motion, joints=held + raised)
 
 
-def _fit(motion: Motion) -> str:
+def _fit(motion: Motion, fitted: Capture) -> str:
     """Say how near rotations come to the joints."""
-    skeleton = get_skeleton(motion.skeleton)
-    joints = np.asarray(motion.joints) * skeleton.meters
-    error = np.linalg.norm(fit_rig(joints, rest_pose(skeleton), motion.fps).positions - joints, axis=-1) * 1000
+    joints = np.asarray(motion.joints) * get_skeleton(motion.skeleton).meters
+    error = np.linalg.norm(fitted.positions - joints, axis=-1) * 1000
     return f": rotations reproduce the joints to {error.mean():.1f} mm on average, {error.max():.0f} mm at most"

@@ -3,64 +3,94 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from kinema.atomic import replacing
 from kinema.motion.captures.capture import Capture
+from kinema.motion.formats.amass import amass_bytes
 from kinema.motion.formats.arrays import load_npz, save_npy, save_npz
 from kinema.motion.formats.bvh import bvh_text
 from kinema.motion.formats.glb import glb_bytes, vrma_bytes
 from kinema.motion.rig.changes import Changes
 from kinema.motion.rig.fit import fit_rig
-from kinema.motion.rig.pose import rest_pose
+from kinema.motion.rig.pose import RestPose, rest_pose, smpl_rest_pose
 from kinema.motion.skeleton import Skeleton, get_skeleton
 from kinema.motion.view.html import save_html
 from kinema.motion.view.video import save_mp4, save_strip
 from kinema.types import Motion
 
-__all__ = ["FORMATS", "load_npz", "save"]
+__all__ = ["FORMATS", "RIGGED", "format_of", "load_npz", "save"]
+
+
+@dataclass(frozen=True)
+class Rigged:
+    """Describe a format of rotations: what writes a rig in metres, and the pose that it rests in.
+
+    `free`: its axes and unit are the user's choice, not its specification's.
+    """
+
+    content: Callable[[Capture, Skeleton, str, Changes], bytes]
+    rest: Callable[[Skeleton], RestPose] = rest_pose
+    free: bool = False
+
+    def fit(self, motion: Motion) -> Capture:
+        """Fit rotations to a motion's joints, in metres."""
+        skeleton = get_skeleton(motion.skeleton)
+        return fit_rig(np.asarray(motion.joints) * skeleton.meters, self.rest(skeleton), motion.fps)
+
+
+def format_of(path: str | Path) -> str:
+    """Find the ending of a file's name that says its format, one of `FORMATS`; raises ValueError for another."""
+    name = Path(path).name
+    found = [ending for ending in FORMATS if name.endswith(ending)]
+    if not found:
+        suffix, known = Path(path).suffix, ", ".join(FORMATS)
+        raise ValueError(f"cannot save a motion as {name!r}: unknown suffix {suffix!r}, choose one of {known}")
+    return max(found, key=len)
 
 
 def save(motion: Motion, path: str | Path, changes: Changes | None = None) -> Path:
-    """Save one motion by the suffix of `path` (see `FORMATS`).
+    """Save one motion by the ending of `path` (see `FORMATS`).
 
     Formats of rotations (`RIGGED`) fit them to the joints and may be changed: raises ValueError for changes of another
     format, or a skeleton without a T-pose.
     """
     path = Path(path)
-    if path.suffix not in FORMATS:
-        known = ", ".join(FORMATS)
-        raise ValueError(
-            f"cannot save a motion as {path.name!r}: unknown suffix {path.suffix!r}, choose one of {known}"
-        )
-    if path.suffix in RIGGED:
-        return _save_rigged(motion, path, changes or Changes())
+    kind = format_of(path)
+    if kind in RIGGED:
+        return _save_rigged(motion, path, RIGGED[kind], changes or Changes())
     if changes not in (None, Changes()):
         raise ValueError(
-            f"{path.name}: rate, place, facing, loop and axes are changed in {', '.join(RIGGED)}, which hold "
+            f"{path.name}: rate, place, facing, loop, axes and unit are changed in {', '.join(RIGGED)}, which hold "
             "rotations; write one of these, or leave these options out"
         )
-    return PLAIN[path.suffix](motion, path)
+    return PLAIN[kind](motion, path)
 
 
-def _save_rigged(motion: Motion, path: Path, changes: Changes) -> Path:
-    if changes.z_up and path.suffix != ".bvh":
-        raise ValueError(f"{path.name}: {path.suffix} is Y up by its specification; Z up is an option of .bvh")
+def _save_rigged(motion: Motion, path: Path, kind: Rigged, changes: Changes) -> Path:
+    if not kind.free and (changes.z_up or changes.unit != Changes().unit):
+        free = ", ".join(name for name, other in RIGGED.items() if other.free)
+        raise ValueError(
+            f"{path.name}: up axis and unit of {format_of(path)} are set by its specification; Z up and --unit are "
+            f"options of {free}"
+        )
     skeleton = get_skeleton(motion.skeleton)
-    fitted = fit_rig(np.asarray(motion.joints) * skeleton.meters, rest_pose(skeleton), motion.fps)
-    content = RIGGED[path.suffix](changes.apply(fitted), skeleton, motion.text or "motion")
+    content = kind.content(changes.apply(kind.fit(motion)), skeleton, motion.text or "motion", changes)
     with replacing(path) as temporary:
         temporary.write_bytes(content)
     return path
 
 
-RIGGED: dict[str, Callable[[Capture, Skeleton, str], bytes]] = {
-    ".bvh": lambda rig, skeleton, title: bvh_text(rig).encode(),
-    ".glb": lambda rig, skeleton, title: glb_bytes(rig, skeleton, title=title),
-    ".vrma": lambda rig, skeleton, title: vrma_bytes(rig, title=title),
+RIGGED = {
+    ".bvh": Rigged(lambda rig, skeleton, title, changes: bvh_text(rig, unit=changes.unit).encode(), free=True),
+    ".glb": Rigged(lambda rig, skeleton, title, changes: glb_bytes(rig, skeleton, title=title)),
+    ".vrma": Rigged(lambda rig, skeleton, title, changes: vrma_bytes(rig, title=title)),
+    ".amass.npz": Rigged(lambda rig, skeleton, title, changes: amass_bytes(rig, title=title), smpl_rest_pose),
 }
+"""Formats of rotations by the ending of their files' names."""
 PLAIN: dict[str, Callable[[Motion, Path], Path]] = {
     ".html": lambda motion, path: save_html([motion], path, title=motion.text or "Kinema motion"),
     ".mp4": save_mp4,
@@ -69,4 +99,4 @@ PLAIN: dict[str, Callable[[Motion, Path], Path]] = {
     ".npz": save_npz,
 }
 FORMATS = (*PLAIN, *RIGGED)
-"""Suffixes that a motion can be saved as."""
+"""Endings of the names that a motion can be saved under."""

@@ -6,13 +6,14 @@ import numpy as np
 
 from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.mapping import known_mappings
+from kinema.motion.rig.changes import Unit
 from kinema.motion.rig.euler import continuous_euler
 
-UNITS = {"cm": 100.0, "m": 1.0}
+UNITS: dict[Unit, float] = {"cm": 100.0, "m": 1.0}
 ORDER = "ZXY"
 
 
-def bvh_text(capture: Capture, *, unit: str = "cm") -> str:
+def bvh_text(capture: Capture, *, unit: Unit = "cm") -> str:
     """Write a rig's tree and its frames; the root's OFFSET is zero, its channels hold where it is."""
     scale = UNITS[unit]
     names = [next(iter(known_mappings()["mixamo"].joints[name])) for name in capture.names]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -19,6 +19,7 @@ LOOP_SECONDS = 0.5
 
 FrameRate = Annotated[float, Interval(gt=0, le=1000)]
 Degrees = Annotated[float, Interval(ge=-360, le=360)]
+Unit = Literal["cm", "m"]
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Changes(Options):
     """Say how an exported motion differs: `fps` None is its own, `facing` degrees from +Z towards +X, None its own.
 
     `in_place`: the root stays over one spot. `loop`: the last frames become the first. `z_up`: Z is up, Y backward.
+    `unit` is the file's, for formats that have none of their own.
     """
 
     fps: FrameRate | None = None
@@ -33,9 +35,10 @@ class Changes(Options):
     facing: Degrees | None = None
     loop: bool = False
     z_up: bool = False
+    unit: Unit = "cm"
 
     def apply(self, capture: Capture) -> Capture:
-        """Make the changes, the up axis last."""
+        """Make the changes, the up axis last; the unit is the writer's to change."""
         if self.loop:
             capture = looped(capture, LOOP_SECONDS)
         if self.in_place:
