@@ -41,7 +41,7 @@ KINDS = (
 )
 SHELLS = ("bash", "zsh")
 PARTS = ("upper", "lower")
-MOTIONS = ".html .mp4 .npz .npy .png .bvh .glb .vrma .amass.npz"
+MOTIONS = ".html .mp4 .npz .npy .png .bvh .glb .vrma .fbx .amass.npz"
 FORMATS = ("joints", "humanml3d", "kit", "synthetic", "bvh", "amc", "amass")
 EXPERIMENTS = {
     "train": ("kinema.experiments.entry:train", "fit a stage of a method or evaluator: stage=generator method=..."),
@@ -256,7 +256,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("motion", help="a file of motion: .npz of generate, .npy of joints, .bvh, .amc")
     parser.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
     parser.add_argument("--lock-feet", action="store_true", help="hold feet that stand; legs bend, nothing else moves")
-    rigs = parser.add_argument_group("changes of .bvh, .glb, .vrma and .amass.npz", "formats of rotations")
+    rigs = parser.add_argument_group("changes of .bvh, .glb, .vrma, .fbx and .amass.npz", "formats of rotations")
     rigs.add_argument("--rate", type=float, metavar="FPS", help="frames per second to write (turns are interpolated)")
     rigs.add_argument("--in-place", action="store_true", help="stay over one spot")
     rigs.add_argument("--facing", type=float, metavar="DEGREES", help="start at the origin, so far from +Z towards +X")

@@ -13,6 +13,7 @@ from kinema.motion.captures.capture import Capture
 from kinema.motion.formats.amass import amass_bytes
 from kinema.motion.formats.arrays import load_npz, save_npy, save_npz
 from kinema.motion.formats.bvh import bvh_text
+from kinema.motion.formats.fbx import fbx_bytes
 from kinema.motion.formats.glb import glb_bytes, vrma_bytes
 from kinema.motion.rig.changes import Changes
 from kinema.motion.rig.fit import fit_rig
@@ -88,6 +89,7 @@ RIGGED = {
     ".bvh": Rigged(lambda rig, skeleton, title, changes: bvh_text(rig, unit=changes.unit).encode(), free=True),
     ".glb": Rigged(lambda rig, skeleton, title, changes: glb_bytes(rig, skeleton, title=title)),
     ".vrma": Rigged(lambda rig, skeleton, title, changes: vrma_bytes(rig, title=title)),
+    ".fbx": Rigged(lambda rig, skeleton, title, changes: fbx_bytes(rig, skeleton, title=title)),
     ".amass.npz": Rigged(lambda rig, skeleton, title, changes: amass_bytes(rig, title=title), smpl_rest_pose),
 }
 """Formats of rotations by the ending of their files' names."""
