@@ -24,7 +24,7 @@ KIT    := $(KIT_OF_$(DATA))
 # Pages say themselves how often they train; a plan runs nothing.
 FLAGS   = $(if $(filter $*,$(TABLES)),$(if $(SEEDS),--seeds $(SEEDS))) $(if $(PLAN),--plan)
 
-.PHONY: help install test lint docs bench demo doctor site reproduce-all reproduce-bad-figure2 clean-reports
+.PHONY: help install test lint docs bench demo doctor readers site reproduce-all reproduce-bad-figure2 clean-reports
 
 # `target: needs  ## what it does` is what is listed; tables and pages are listed by their titles.
 help:  ## list the targets
@@ -50,6 +50,10 @@ $(DOCS): $(STAMP) requirements-docs.lock
 
 test: $(STAMP)  ## run the tests, on all cores (ARGS="-k word", ARGS="-m 'not slow'", ARGS="-n 0")
 	OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
+
+readers:  ## fetch three.js and gltf-validator, pinned, which tests/readback reads exports with (npm)
+	npm --prefix tests/readback install --ignore-scripts --no-audit --no-fund --no-package-lock
+	npm --prefix tests/readback run build
 
 lint: $(STAMP)  ## check style and format
 	$(VENV)/bin/ruff check .

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from kinema.motion.captures.capture import Capture
@@ -26,7 +27,8 @@ def fbx_bytes(capture: Capture, skeleton: Skeleton, *, title: str) -> bytes:
     """Write a rig in metres, its figure and its animation; raises ValueError where there is no Blender, or it fails."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "motion.glb", Path(folder) / "motion.fbx"
-        source.write_bytes(glb_bytes(capture, skeleton, title=title))
+        clocked = replace(capture, fps=fbx_in_blender.CLOCK)
+        source.write_bytes(glb_bytes(clocked, skeleton, title=title))
         _run_blender(str(source), str(target), repr(float(capture.fps)))
         if not target.is_file():
             raise ValueError("Blender wrote no FBX; write .glb, which every tool with FBX reads through Blender, too")

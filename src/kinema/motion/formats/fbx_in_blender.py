@@ -1,12 +1,15 @@
 """Turn a GLB into FBX inside Blender: a script for an interpreter that has bpy, which the package never imports.
 
-Usage: python fbx_in_blender.py IN.glb OUT.fbx FPS. Exit code `NO_BLENDER` says that there is no bpy.
+Usage: python fbx_in_blender.py IN.glb OUT.fbx FPS, where a frame of the GLB lasts 1 / `CLOCK`. Exit code `NO_BLENDER`
+says that there is no bpy.
 """
 
+import math
 import sys
-from fractions import Fraction
 
 NO_BLENDER = 3
+CLOCK = 24
+"""Frames per second of the GLB, whatever the motion's: Blender's importer knows whole numbers alone."""
 
 
 def convert(source: str, target: str, fps: float) -> None:
@@ -15,12 +18,12 @@ def convert(source: str, target: str, fps: float) -> None:
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    rate = Fraction(fps).limit_denominator(1000)
-    scene.render.fps, scene.render.fps_base = rate.numerator, rate.denominator
+    scene.render.fps, scene.render.fps_base = CLOCK, 1
     # The importer turns the file's metres into this unit, and the exporter writes it as it is: no node is scaled.
     scene.unit_settings.scale_length = 0.01
     bpy.ops.import_scene.gltf(filepath=source, disable_bone_shape=True)
     scene.frame_start, scene.frame_end = (round(frame) for frame in bpy.data.actions[0].frame_range)
+    scene.render.fps, scene.render.fps_base = math.ceil(fps), math.ceil(fps) / fps
     bpy.ops.export_scene.fbx(
         filepath=target,
         object_types={"ARMATURE", "MESH"},
