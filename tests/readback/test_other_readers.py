@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.motion.rig.test_amass import posed
+import torch
+from tests.motion.rig.test_amass import PARENTS, posed
 from tests.readback.conftest import MOST, MOTIONS, NAMES, STRIDE
 
 from kinema.motion import export
@@ -17,9 +18,11 @@ from kinema.motion.rig.changes import Changes
 
 HERE = Path(__file__).parent
 BUNDLE = HERE / "node_modules" / "readers.js"
-BY_BLENDER = (".bvh", ".glb", ".fbx")
+BY_BLENDER = (".bvh", ".glb", ".vrma", ".fbx")
 UNITS = {".bvh": 100, ".fbx": 100, ".glb": 1, ".vrma": 1}
 """Units of a format's lengths in a metre."""
+VERTICES, HANDS = 6890, {"components": (45, 45), "mean": (45,)}
+"""Of SMPL-H's model file."""
 
 
 def joints(frames: list[dict[str, list[float]]]) -> np.ndarray:
@@ -43,6 +46,45 @@ def test_plain_scipy_reads_amass(motion, written, agree):
     with np.load(written(motion, ".amass.npz")) as file:
         x, y, z = np.moveaxis(posed(file["rest_joints"], file["poses"], file["trans"])[::STRIDE], -1, 0)
     agree(".amass.npz", "NumPy and SciPy", motion, np.stack([x, z, -y], -1))
+
+
+def body_model(rest: np.ndarray, folder: Path) -> None:
+    """Make up a body of SMPL-H whose joints rest here; what else it holds is zero."""
+    regressor = np.zeros((52, VERTICES))
+    regressor[np.arange(52), np.arange(52)] = 1
+    template = np.zeros((VERTICES, 3))
+    template[:22] = rest
+    np.savez(
+        folder / "SMPLH_NEUTRAL.npz",
+        v_template=template,
+        shapedirs=np.zeros((VERTICES, 3, 16)),
+        posedirs=np.zeros((VERTICES, 3, 51 * 9)),
+        J_regressor=regressor,
+        kintree_table=np.array([[*PARENTS, *[20] * 15, *[21] * 15], range(52)]),
+        weights=np.eye(VERTICES, 52),
+        f=np.zeros((1, 3), dtype=np.int64),
+        **{f"hands_{what}{side}": np.zeros(shape) for what, shape in HANDS.items() for side in "lr"},
+    )
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_smplx_reads_amass(motion, written, agree, tmp_path):
+    """As docs/export.md does it, with a body of the motion's own bones."""
+    smplx = pytest.importorskip("smplx", reason="pip install smplx (not free for commercial use)")
+    with np.load(written(motion, ".amass.npz")) as file:
+        body_model(file["rest_joints"], tmp_path)
+        poses, trans = (torch.tensor(file[name][::STRIDE], dtype=torch.float64) for name in ("poses", "trans"))
+    options = {"ext": "npz", "use_pca": False, "flat_hand_mean": True, "batch_size": len(poses)}
+    body = smplx.SMPLH(str(tmp_path / "SMPLH_NEUTRAL.npz"), dtype=torch.float64, **options)
+    posed = body(
+        global_orient=poses[:, :3],
+        body_pose=poses[:, 3:66],
+        left_hand_pose=poses[:, 66:111],
+        right_hand_pose=poses[:, 111:],
+        transl=trans,
+    )
+    x, y, z = np.moveaxis(posed.joints[:, :22].detach().numpy(), -1, 0)
+    agree(".amass.npz", "smplx", motion, np.stack([x, z, -y], -1))
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +111,13 @@ def test_three_reads_it(motion, ending, written, agree, motions, page, request):
     times = [frame / fps for frame in range(0, len(motions[motion].joints), STRIDE)]
     frames = page.js(f"readers.positions('{ending[1:]}', {packed(written(motion, ending))}, {times})")
     agree(ending, "three.js", motion, joints(frames) / UNITS[ending])
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_vrm_model_of_these_bones_moves_as_the_motion_does(motion, written, agree, motions, page):
+    times = [frame / motions[motion].fps for frame in range(0, len(motions[motion].joints), STRIDE)]
+    frames = page.js(f"readers.drive({packed(written(motion, '.vrma'))}, {times})")
+    agree(".vrma", "three-vrm", motion, joints(frames))
 
 
 @pytest.mark.parametrize("fps", [30, 12.5])
