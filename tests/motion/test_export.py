@@ -91,7 +91,7 @@ TITLES = ("pays $x^{2 and $5", r"$\frac{$", "a_b^c %s {0} <b>", "d\udce9marre", 
 
 
 @pytest.mark.parametrize("title", TITLES)
-@pytest.mark.parametrize("suffix", [".png", ".html", ".npz"])
+@pytest.mark.parametrize("suffix", [".png", ".html", ".npz", ".amass.npz", ".glb"])
 def test_any_text_can_stand_in_a_title(motion, tmp_path, suffix, title):
     if suffix == ".png":
         pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'kinema[viz]'")

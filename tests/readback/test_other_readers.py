@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,11 @@ def test_blender_keeps_the_rate_of_fbx(fps, motions, blender, page, tmp_path):
     times = (np.arange(len(expected)) * STRIDE / fps).tolist()
     found = joints(page.js(f"readers.positions('fbx', {packed(path)}, {times})")) / UNITS[".fbx"]
     assert np.linalg.norm(found - expected, axis=-1).max() < MOST / 1000
+
+
+def test_blender_takes_half_a_character_for_a_title(motions, blender, tmp_path):
+    motion = replace(motions["jumping"], text="d\udce9marre")
+    assert export.save(motion, tmp_path / "a.fbx").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("ending", [".glb", ".vrma"])

@@ -79,7 +79,8 @@ def _save_rigged(motion: Motion, path: Path, kind: Rigged, changes: Changes) -> 
             f"options of {free}"
         )
     skeleton = get_skeleton(motion.skeleton)
-    content = kind.content(changes.apply(kind.fit(motion)), skeleton, motion.text or "motion", changes)
+    title = (motion.text or "motion").encode(errors="replace").decode()  # half a character is no text to other tools
+    content = kind.content(changes.apply(kind.fit(motion)), skeleton, title, changes)
     with replacing(path) as temporary:
         temporary.write_bytes(content)
     return path
