@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "docs" / "adding_a_method.md"  # its files are none of ours: test_adding_a_method.py runs them
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(set((ROOT / "docs").glob("*.md")) - {EXAMPLE})]
 SPECS = sorted((ROOT / "docs" / "specs").glob("*.md"))  # their references and options: test_spec_references.py
-SHELL = ("eval", "export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail")
+SHELL = ("eval", "export", "cd", ".", "git", "ls", "mkdir", "cp", "wandb", "tensorboard", "pip", "tail", "python3.11")
 """Commands that are not ours to check."""
 
 
@@ -110,6 +110,9 @@ def check_make(words):
 
 
 def check_python(words):
+    if words[0] == "-m":
+        assert importlib.util.find_spec(words[1])
+        return
     assert (ROOT / words[0]).exists()
     if words[0] in ("train.py", "evaluate.py"):
         check_hydra(words[0].removesuffix(".py"), words[1:])
