@@ -138,9 +138,23 @@ def test_a_text_gives_as_many_motions_as_are_asked_for(run, capsys):
     assert cli.main([*make, "--count", "2", "--out", "m.npz"]) == 0
     made = [load_npz(f"m-{i}.npz") for i in (1, 2, 3, 4)]
     assert [motion.text for motion in made] == ["a person walks"] * 2 + ["a man bows"] * 2
+    assert [motion.seed for motion in made] == [1, made[1].seed] * 2
     assert not np.array_equal(made[0].joints, made[1].joints)
-    fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "--count 0; it must be at least 1")
-    fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "1 with --chain")
+    fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "count=0: must be a whole number from 1")
+    fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "--count 2 with --chain")
+
+
+def test_a_table_of_prompts_says_length_count_and_seed(run, capsys):
+    Path("p.csv").write_text('text,seconds,count,seed\n"a person walks, slowly",0.5,,9\na man bows,,2,\n')
+    make = ["generate", "--prompts", "p.csv", "--run", str(run), "--seed", "4", "--frames", "8", *FAST]
+    assert cli.main([*make, "--out", "m.npz"]) == 0
+    made = [load_npz(f"m-{i}.npz") for i in (1, 2, 3)]
+    assert [motion.text for motion in made] == ["a person walks, slowly", "a man bows", "a man bows"]
+    assert [len(motion.joints) for motion in made] == [10, 8, 8]
+    assert [motion.seed for motion in made[:2]] == [9, 4]
+    fails(capsys, [*make, "--chain", "--out", "m.npz"], "--chain makes one motion of all prompts, of one --seed")
+    Path("p.csv").write_text("text,frames\na person walks,500\n")
+    fails(capsys, [*make, "--out", "m.npz"], "length 500 is out of range")
 
 
 def test_joints_can_be_edited(run):

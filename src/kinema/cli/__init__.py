@@ -63,8 +63,8 @@ KEEP_HELP = (
 )
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 PROMPTS_HELP = (
-    "file of prompts, one a line, in place of TEXT; `a person walks#120` says how many frames it has, others take "
-    "--seconds or --frames, or an estimate"
+    "file of prompts in place of TEXT: .txt, one a line (`a person walks#120` says its frames); .csv and .jsonl with "
+    "text and, if you like, frames or seconds, count, seed, name. What a prompt doesn't say the options do"
 )
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
@@ -152,7 +152,9 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--prompts", metavar="FILE", help=PROMPTS_HELP)
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
     make.add_argument("--frames", type=int, help="length in frames")
-    make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")
+    make.add_argument(
+        "--count", type=int, default=1, metavar="N", help="motions of each text, each with a seed of its own"
+    )
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument(
