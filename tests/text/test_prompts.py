@@ -123,7 +123,7 @@ def test_tables_and_objects_say_the_same(tmp_path):
         ("a.csv", "text,seconds\nwalk,-1\n", "line 2: seconds=-1: must be a finite number > 0"),
         ("a.csv", "text,count\nwalk,0\n", "line 2: count=0: must be a whole number from 1"),
         ("a.csv", "text,seed\nwalk,-1\n", "line 2: seed=-1: must be a whole number"),
-        ("a.csv", "text,name\nwalk,../a\n", 'line 2: name="../a": must be 100 letters, digits'),
+        ("a.csv", "text,name\nwalk,../a\n", 'line 2: name="../a": must be 60 letters, digits'),
         ("a.csv", "text,frames,seconds\nwalk,40,2\n", "line 2: frames=40 and seconds=2; give one"),
         ("a.csv", "text,seed\nwalk, then run,1\n", "line 2: 3 cells for 2 columns; put a text with a comma between"),
         ("a.csv", 'text\n"walk"s\n', "line 2: "),

@@ -66,6 +66,11 @@ PROMPTS_HELP = (
     "file of prompts in place of TEXT: .txt, one a line (`a person walks#120` says its frames); .csv and .jsonl with "
     "text and, if you like, frames or seconds, count, seed, name. What a prompt doesn't say the options do"
 )
+BATCH_HELP = "motions generated at once (default: 32); 1 gives the bits that a motion has alone"
+OUT_HELP = (
+    f"file to write: {MOTIONS}; several motions are numbered, or named by a template, with a manifest.jsonl beside: "
+    "'motions/{index:03d}-{slug}-{seed}.bvh', of index, slug (of the text), seed, take, name"
+)
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
     "legs and foot contacts (methods that generate frames: mdm, motiondiffuse, ...)"
@@ -155,6 +160,7 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument(
         "--count", type=int, default=1, metavar="N", help="motions of each text, each with a seed of its own"
     )
+    make.add_argument("--batch-size", type=int, default=32, metavar="N", help=BATCH_HELP)
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument(
@@ -171,7 +177,7 @@ def _parser() -> argparse.ArgumentParser:
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
-        one.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
+        one.add_argument("--out", required=True, help=OUT_HELP if one is make else f"file to write: {MOTIONS}")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from kinema.cli.convention import told
+from kinema.cli.takes import Batch, check_made
 from kinema.data import doctor as examine
 from kinema.data.captures import SUFFIXES
 from kinema.data.prepare import check_reader, read_corpus, takes
@@ -30,6 +31,7 @@ from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
+from kinema.pipeline.naming import is_template
 from kinema.pipeline.requests import takes_of
 from kinema.report.index import write_site
 from kinema.runs import weights
@@ -50,17 +52,24 @@ def generate(options: argparse.Namespace) -> None:
     if options.chain and any(prompt.count or prompt.seed is not None for prompt in prompts):
         raise ValueError("--chain makes one motion of all prompts, of one --seed: leave out their seed and count")
     asked = takes_of(prompts, count=options.count, seed=options.seed)
-    files = _files(options.out, 1 if options.chain else len(asked))
+    many = is_template(options.out)
+    if many and options.chain:
+        raise ValueError(f"--out {options.out}: --chain makes one motion; name its file without braces")
+    files = _files(options.out, 1 if options.chain or many else len(asked))
+    batch = Batch.named(options.out, asked) if many else None
     model = _model(options)
     fps = model.skeleton.fps
     (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
     lengths = model.lengths([take.frames(usual, fps) for take in asked], None, len(asked))
     model.changed_sampling(options.set)  # before its names can stand for other arguments
-    texts = [take.prompt.text for take in asked]
-    if options.chain:
+    check_made(asked, model, options.set)
+    texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
+    if batch is not None:
+        batch.write(model, lengths, options)
+    elif options.chain:
         _write([model.chain(texts, lengths, seed=options.seed, **options.set)], files)
-        return
-    _write(model.generate(texts, lengths, seed=[take.seed for take in asked], **options.set), files)
+    else:
+        _write(model.generate(texts, lengths, seed=seeds, batch_size=options.batch_size, **options.set), files)
 
 
 def edit(options: argparse.Namespace) -> None:

@@ -7,17 +7,18 @@ import io
 import json
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 from kinema.files.lines import Line, read_lines
 from kinema.options import Count, Matches, Positive, Seed, check_value
+from kinema.text.manifest import Entry, read_entry
 
 _LENGTH = re.compile(r"(?P<text>.*\S)#(?P<frames>\d{1,9}|NA)\s*$", re.IGNORECASE)
 _CAPTION = re.compile(r"(?P<text>[^#]*\S)#[^#]*#(?:[\d.]+|nan)#(?:[\d.]+|nan)\s*$", re.IGNORECASE)
 
-Name = Annotated[str, Matches(r"\w[\w.-]{0,99}", "100 letters, digits, `_`, `-`, `.` at most, a letter or digit first")]
+Name = Annotated[str, Matches(r"\w[\w.-]{0,59}", "60 letters, digits, `_`, `-`, `.` at most, a letter or digit first")]
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Prompt:
     """Hold what motions are made of: a text, and what was said of them (None: not said).
 
     `frames` or `seconds` is their length, `count` how many are made, `seed` that of the first, `name` stands in files'
-    names.
+    names, `entry` is the line of a manifest that it was read from.
     """
 
     text: str
@@ -34,11 +35,12 @@ class Prompt:
     count: int | None = None
     seed: int | None = None
     name: str | None = None
+    entry: Entry | None = None
 
 
 RULES: dict[str, Any] = {"text": str, "frames": Count, "seconds": Positive, "count": Count, "seed": Seed, "name": Name}
 """What columns and keys may hold; those that are empty, null or left out are not said."""
-COLUMNS = ", ".join(field.name for field in fields(Prompt))
+COLUMNS = ", ".join(RULES)
 
 
 def parse_prompt(line: str) -> Prompt:
@@ -110,8 +112,17 @@ def _from_jsonl(path: Path, lines: list[Line]) -> Iterator[Prompt]:
             raise ValueError(f"{where} is no JSON ({error}); {EMPTY['.jsonl']}") from None
         if not isinstance(row, dict):
             raise ValueError(f"{where} is no object; {EMPTY['.jsonl']}")
+        if "file" in row:
+            yield _again(read_entry(line.text, where))
+            continue
         _known(list(row), where)
         yield _prompt(row, where)
+
+
+def _again(entry: Entry) -> Prompt:
+    """Return the prompt that gives a manifest's motion again; a length that was the model's own is left to it."""
+    frames = entry.frames if entry.length == "asked" else None
+    return Prompt(entry.text, frames, seed=entry.seed, name=entry.name, entry=entry)
 
 
 def _known(names: list[str], where: str) -> list[str]:
