@@ -228,6 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_convention(check)
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
+    _add_gallery(add("gallery", "show files of motion on one page, side by side and in step", "gallery:gallery"))
     _add_runs(add)
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
@@ -270,6 +271,15 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     rigs.add_argument("--facing", type=float, metavar="DEGREES", help="start at the origin, so far from +Z towards +X")
     rigs.add_argument("--loop", action="store_true", help="let the last half second become the first pose")
     rigs.add_argument("--z-up", action="store_true", help="Z up, facing -Y (.bvh)")
+    _add_convention(parser)
+
+
+def _add_gallery(parser: argparse.ArgumentParser) -> None:
+    """Add which motions are shown, and where."""
+    what = "files of motion (.npz, .npy, .bvh, .amc), or a manifest.jsonl: the files that it names, with their texts"
+    parser.add_argument("files", nargs="+", metavar="FILE", help=what)
+    parser.add_argument("--out", required=True, metavar="PAGE", help="page (.html) to write; it needs no other file")
+    parser.add_argument("--title", help="heading of the page")
     _add_convention(parser)
 
 

@@ -182,6 +182,10 @@
       };
       bar.oninput = (e) => { changes[e.target.dataset.action]?.(+e.target.value); refreshToolbars(); };
     });
+    document.querySelectorAll(".kinema-viewer[data-sync]").forEach((viewer) => {
+      delete viewer.dataset.sync;
+      syncAll(true);
+    });
     refreshToolbars();
   }
   function forget(figure) {                               // a player that is taken off the page
