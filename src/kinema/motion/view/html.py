@@ -1,4 +1,4 @@
-"""Show motions in the browser: one self-contained page of stick-figure players, no network, no libraries."""
+"""Show motions in the browser: one self-contained page of players, no network, no libraries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kinema.motion.view.packed import broken_from, playable
 if TYPE_CHECKING:
     from kinema.types import Motion
 
-SCRIPTS = ("track.js", "scene.js", "viewer.js")
+SCRIPTS = ("track.js", "figure.js", "scene.js", "viewer.js")
 
 
 def save_html(
@@ -151,7 +151,8 @@ aria-label='Time of all motions'></label>
 <button type='button' data-action='reset' title='Reset the cameras'>Reset view</button>
 <label>Speed <select data-action='speed' aria-label='Speed'><option>0.25</option><option>0.5</option>
 <option selected>1</option><option>2</option></select></label>
-<span class='kinema-legend'><i class='kinema-left'></i>left <i class='kinema-right'></i>right</span>
+<span class='kinema-legend'><i class='kinema-left'></i>left <i class='kinema-right'></i>right
+<i class='kinema-stands'></i>foot stands</span>
 <span class='kinema-hint'>drag to orbit · click, then wheel to zoom · double-click resets ·
 space plays · ← → step</span>
 </div>"""

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinema.motion.contacts import contacts, runs
+from kinema.motion.skeleton import get_skeleton
 from kinema.motion.view.body import body_of, metres
 
 if TYPE_CHECKING:
@@ -54,14 +56,25 @@ def playable(motion: Motion) -> dict[str, Any]:
         "stature": round(body.stature, 4),
         "scale": float(f"{packed.scale:.9g}"),
         "centre": [float(f"{c:.6g}") for c in packed.centre],
+        "radii": body.radii,
+        "bones": body.bones,
+        "trunk": body.trunk,
+        "hands": body.hands,
+        "toes": body.toes,
+        "standing": standing(motion),
         "kept": ranges(motion.kept),
         "joints": packed.data,
     }
 
 
+def standing(motion: Motion) -> list[list[tuple[int, int]]]:
+    """Return the ranges of frames in which the left and the right foot stand; the lowest toe of all is on the floor."""
+    skeleton, joints = get_skeleton(motion.skeleton), metres(motion)
+    toes = [joints[:, foot[-1]].astype(np.float64) for foot in (skeleton.feet_left, skeleton.feet_right)]
+    floor = min(float(toe[:, 1].min()) for toe in toes)
+    return [ranges(contacts(toe - [0, floor, 0], motion.fps)) for toe in toes]
+
+
 def ranges(mask: np.ndarray | None) -> list[tuple[int, int]]:
     """Return the runs of True in a mask over frames as (start, end); none for no mask."""
-    if mask is None:
-        return []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+    return [] if mask is None else runs(mask)
