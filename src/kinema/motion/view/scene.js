@@ -15,6 +15,11 @@
     const strength = 0.55 + 0.66 * light;
     return strength < 1 ? rgb.map((v) => v * strength) : mix(rgb, [255, 255, 255], 0.9 * (strength - 1));
   }
+  const pairs = new WeakMap();                            // of one colour, a lighter one for left and a darker for right
+  function sided(rgb, side) {
+    if (!pairs.has(rgb)) pairs.set(rgb, [mix(rgb, [255, 255, 255], 0.22), rgb, mix(rgb, [0, 0, 0], 0.2)]);
+    return pairs.get(rgb)[side + 1];
+  }
   const tones = new WeakMap();                            // of each colour, by fog and light: written once
   function tone(rgb, fog, light) {
     const [step, strength] = [Math.round(24 * fog), Math.round(32 * Math.max(light, 0))], key = step * 64 + strength;
@@ -90,7 +95,7 @@
       const body = kinema.figure.pieces(track, pose);
       kinema.figure.drawShadow(ink, eye, body, css(theme.shadow, 0.22));
       kinema.figure.drawContacts(track, ink, eye, pose, frame, css(theme.stands, 0.9));
-      const base = (side) => paint ? paint(frame) : side < 0 ? theme.left : side > 0 ? theme.right : theme.middle;
+      const base = (side) => paint ? sided(paint(frame), side) : [theme.left, theme.middle, theme.right][side + 1];
       const colour = (side, fog, light) => tone(base(side), fog, light);
       parts.push(...kinema.figure.parts(track, ink, eye, body, pose, colour));
     });
