@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from kinema.data.synthetic import synthetic_catalog
-from kinema.motion.contacts import contacts, runs
-from kinema.motion.feet import legs, lock_feet
+from kinema.motion.feet import contacts, legs, lock_feet, runs
 from kinema.motion.kinematics import bone_lengths
 from kinema.motion.physics import foot_skating
 from kinema.motion.skeleton import HUMANML3D

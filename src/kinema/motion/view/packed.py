@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinema.motion.contacts import contacts, runs
 from kinema.motion.skeleton import get_skeleton
 from kinema.motion.view.body import body_of, metres
 
@@ -69,6 +68,8 @@ def playable(motion: Motion) -> dict[str, Any]:
 
 def standing(motion: Motion) -> list[list[tuple[int, int]]]:
     """Return the ranges of frames in which the left and the right foot stand; the lowest toe of all is on the floor."""
+    from kinema.motion.feet import contacts  # here: it needs torch, and most of a report does not
+
     skeleton, joints = get_skeleton(motion.skeleton), metres(motion)
     toes = [joints[:, foot[-1]].astype(np.float64) for foot in (skeleton.feet_left, skeleton.feet_right)]
     floor = min(float(toe[:, 1].min()) for toe in toes)
@@ -77,4 +78,7 @@ def standing(motion: Motion) -> list[list[tuple[int, int]]]:
 
 def ranges(mask: np.ndarray | None) -> list[tuple[int, int]]:
     """Return the runs of True in a mask over frames as (start, end); none for no mask."""
-    return [] if mask is None else runs(mask)
+    if mask is None:
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
