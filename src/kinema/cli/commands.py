@@ -66,10 +66,12 @@ def generate(options: argparse.Namespace) -> None:
     texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
     if batch is not None:
         batch.write(model, lengths, options)
-    elif options.chain:
-        _write([model.chain(texts, lengths, seed=options.seed, **options.set)], files)
+        return
+    if options.chain:
+        made = [model.chain(texts, lengths, seed=options.seed, **options.set)]
     else:
-        _write(model.generate(texts, lengths, seed=seeds, batch_size=options.batch_size, **options.set), files)
+        made = model.generate(texts, lengths, seed=seeds, batch_size=options.batch_size, **options.set)
+    _write(made, files)
 
 
 def edit(options: argparse.Namespace) -> None:
