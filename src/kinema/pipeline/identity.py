@@ -11,12 +11,13 @@ import torch
 from torch import nn
 
 from kinema.pipeline.text_to_motion import TextToMotion
+from kinema.runs.parts import GENERATOR, TOKENIZER
 
 
 def fingerprint(model: TextToMotion) -> str:
     """Hash tokenizer, generator, what stands beside it and the text encoder's identity to 12 digits."""
     digest = hashlib.sha256(str(model.text_encoder.identity).encode())
-    parts: dict[str, nn.Module] = {"tokenizer": model.tokenizer, "generator": model.generator, **model.parts}
+    parts: dict[str, nn.Module] = {TOKENIZER: model.tokenizer, GENERATOR: model.generator, **model.parts}
     for part, module in sorted(parts.items()):
         for name, value in sorted(module.state_dict().items()):
             digest.update(f"{part}.{name} {value.dtype} {tuple(value.shape)}".encode())

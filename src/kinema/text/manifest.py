@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_origin, get_type_hints
 
 from kinema.atomic import write_text
 from kinema.files.json import parse_json
@@ -45,20 +45,21 @@ class Entry:
     versions: dict[str, str]
 
 
-KEYS = tuple(field.name for field in fields(Entry))
-KINDS = {
-    **dict.fromkeys(("file", "text", "length", "skeleton", "run", "model", "method", "device"), str),
-    **dict.fromkeys(("seed", "frames", "take", "batch_size"), int),
-    **dict.fromkeys(("sampling", "versions"), dict),
-    "fps": int | float,
-    "name": str | None,
-}
+def _written(annotation: Any) -> Any:
+    """Say what JSON has for an annotation."""
+    if annotation is float:
+        return int | float
+    origin = get_origin(annotation)
+    return str if origin is Literal else dict if origin is dict else annotation
+
+
+KINDS = {name: _written(annotation) for name, annotation in get_type_hints(Entry).items()}
 
 
 def read_entry(line: str, where: str) -> Entry:
     """Read one line; raises ValueError naming what is wrong."""
     row = parse_json(line, where, KINDS, fix=FIX)
-    return Entry(**{key: row.get(key) for key in KEYS})
+    return Entry(**{key: row.get(key) for key in KINDS})
 
 
 def read_manifest(path: str | Path) -> list[Entry]:
