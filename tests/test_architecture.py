@@ -48,7 +48,7 @@ MAY_IMPORT = {
     "nn": {"types", "masking"},
     "motion": {"types", "options", "atomic", "files", "registry"},
     "data": {"types", "options", "atomic", "files", "locks", "seeds", "motion"},
-    "text": {"types", "atomic", "files", "locks", "seeds"},
+    "text": {"types", "options", "atomic", "files", "locks", "seeds"},
     "diffusion": FOUNDATION,
     "decoding": {*FOUNDATION, "diffusion"},
     "tokenizers": MODEL,

@@ -18,6 +18,7 @@ from kinema.motion.formats.arrays import load_npy, load_npz, save_npz
 from kinema.motion.recording import read_recording
 from kinema.motion.skeleton import HUMANML3D
 from kinema.runs.folder import RunFolder
+from kinema.text.manifest import read_manifest
 
 
 def published_autoencoder() -> dict[str, torch.Tensor]:
@@ -138,9 +139,69 @@ def test_a_text_gives_as_many_motions_as_are_asked_for(run, capsys):
     assert cli.main([*make, "--count", "2", "--out", "m.npz"]) == 0
     made = [load_npz(f"m-{i}.npz") for i in (1, 2, 3, 4)]
     assert [motion.text for motion in made] == ["a person walks"] * 2 + ["a man bows"] * 2
+    assert [motion.seed for motion in made] == [1, made[1].seed] * 2
     assert not np.array_equal(made[0].joints, made[1].joints)
-    fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "--count 0; it must be at least 1")
-    fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "1 with --chain")
+    fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "count=0: must be a whole number from 1")
+    fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "--count 2 with --chain")
+
+
+def test_a_table_of_prompts_says_length_count_and_seed(run, capsys):
+    Path("p.csv").write_text('text,seconds,count,seed\n"a person walks, slowly",0.5,,9\na man bows,,2,\n')
+    make = ["generate", "--prompts", "p.csv", "--run", str(run), "--seed", "4", "--frames", "8", *FAST]
+    assert cli.main([*make, "--out", "m.npz"]) == 0
+    made = [load_npz(f"m-{i}.npz") for i in (1, 2, 3)]
+    assert [motion.text for motion in made] == ["a person walks, slowly", "a man bows", "a man bows"]
+    assert [len(motion.joints) for motion in made] == [10, 8, 8]
+    assert [motion.seed for motion in made[:2]] == [9, 4]
+    fails(capsys, [*make, "--chain", "--out", "m.npz"], "--chain makes one motion of all prompts, of one --seed")
+    Path("p.csv").write_text("text,frames\na person walks,500\n")
+    fails(capsys, [*make, "--out", "m.npz"], "length 500 is out of range")
+
+
+def test_many_motions_are_named_and_each_is_made_again_from_its_line_alone(run, capsys):
+    Path("p.csv").write_text("text,name,frames\na person walks,w,16\nSomeone bows!,b,40\n")
+    make = ["generate", "--run", str(run), *FAST, "--seed", "5", "--count", "2"]
+    out = "made/{name}/{index:02d}-{slug}-{take}-{seed}.npz"
+    assert cli.main([*make, "--prompts", "p.csv", "--out", out]) == 0
+    entries = read_manifest("made/manifest.jsonl")
+    assert [entry.file.rpartition("-")[0] for entry in entries] == [
+        "w/01-a-person-walks-1",
+        "w/02-a-person-walks-2",
+        "b/03-someone-bows-1",
+        "b/04-someone-bows-2",
+    ]
+    lines = Path("made/manifest.jsonl").read_text().splitlines()
+    for entry, line in zip(entries, lines, strict=True):
+        Path("one.jsonl").write_text(line)
+        again = ["generate", "--prompts", "one.jsonl", "--run", str(run), *FAST, "--out", "again.npz"]
+        assert cli.main(again) == 0
+        first, second = load_npz(f"made/{entry.file}"), load_npz("again.npz")
+        assert second.seed == entry.seed
+        assert first.joints.shape == second.joints.shape == (entry.frames, 22, 3)
+        assert np.abs(first.joints - second.joints).max() < 1e-5  # another batch: the draws are the same, bits are not
+    fails(capsys, [*again, "--set", "guidance=9"], "was made with --set guidance=", "give these")
+    Path("one.jsonl").write_text(lines[0].replace(entries[0].model, "0" * 12))
+    fails(capsys, again, "was made by mar (model 000000000000), and this is model", "give its --run")
+
+
+def test_motions_made_one_by_one_come_again_bit_by_bit(run):
+    make = ["generate", "a person walks", "a man bows", "--run", str(run), *FAST, "--frames", "16"]
+    assert cli.main([*make, "--seed", "5", "--batch-size", "1", "--out", "made/{index}.npz"]) == 0
+    Path("one.jsonl").write_text(Path("made/manifest.jsonl").read_text().splitlines()[1])
+    assert cli.main(["generate", "--prompts", "one.jsonl", "--run", str(run), *FAST, "--out", "again.npz"]) == 0
+    assert np.array_equal(load_npz("made/2.npz").joints, load_npz("again.npz").joints)
+
+
+def test_names_that_cannot_be_are_refused_before_anything_is_made(run, capsys):
+    make = ["generate", "a person walks", "a man bows", "--run", str(run), *FAST, "--frames", "8"]
+    fails(capsys, [*make, "--out", "made/{sed}.npz"], "{sed} is nothing that a motion has; it may hold {index}, {slug}")
+    fails(capsys, [*make, "--seed", "1", "--out", "made/{seed}.npz"], "calls two motions made/1.npz", "add {index}")
+    fails(capsys, [*make, "--out", "made/{index}.xyz"], "no known suffix")
+    fails(capsys, [*make, "--out", "made/{index}.npz", "--chain"], "name its file without braces")
+    Path("made").mkdir()
+    Path("made/manifest.jsonl").write_text("{}\n")
+    fails(capsys, [*make, "--out", "made/{index}.npz"], "made/manifest.jsonl, line 1 has 'file': it holds null")
+    assert [path.name for path in Path("made").iterdir()] == ["manifest.jsonl"]
 
 
 def test_joints_can_be_edited(run):

@@ -38,8 +38,15 @@ def item_seed(seed: int, epoch: int, index: int) -> int:
     return state
 
 
-def request_seeds(seed: int | None, size: int) -> list[int]:
-    """Derive one seed per sample of a request; the first is the seed itself (drawn if None), so that it repeats all."""
+def request_seeds(seed: int | list[int] | tuple[int, ...] | None, size: int) -> list[int]:
+    """Derive one seed per sample of a request; the first is the seed itself (drawn if None), so that it repeats all.
+
+    A list is taken as it is: one seed per sample.
+    """
+    if isinstance(seed, list | tuple):
+        if len(seed) != size:
+            raise ValueError(f"got {len(seed)} seeds for {size} motions; give one, or one per motion")
+        return [request_seeds(own, 1)[0] for own in seed]
     seed = secrets.randbelow(2**31) if seed is None else seed
     check_value(seed, Seed, "seed")
     seed = int(seed)  # NumPy's are whole numbers too

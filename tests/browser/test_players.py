@@ -79,6 +79,36 @@ def test_the_keyboard_plays_and_steps(browser, motions, tmp_path):
     assert browser.js(f"{FIRST}.frame") == pytest.approx(min(frame + 1, 59))
 
 
+def test_a_foot_that_stands_is_marked_and_one_that_glides_is_not(browser, motions, tmp_path):
+    joints = motions[0].joints * np.float32([1, 1, 2])  # glides by 1.6 m/s, and then stands
+    held = replace(motions[0], joints=np.concatenate([joints[:30], np.repeat(joints[30:31], 30, axis=0)]))
+    browser.open(save_html([held], tmp_path / "page.html"))
+    browser.until(f"{FIRST}.tracks")
+    green = (
+        "(({data}) => data.filter((red, i) => i % 4 === 0 && data[i + 1] > red + 60 && data[i + 1] > data[i + 2] + 30)"
+        f".length)((c => c.getContext('2d').getImageData(0, 0, c.width, c.height))({FIRST}.canvas))"
+    )
+    browser.js(f"kinema.playAll(false); {FIRST}.seek(10)")
+    browser.drawn()
+    assert browser.js(green) == 0
+    browser.js(f"{FIRST}.seek(50)")
+    browser.drawn()
+    assert browser.js(green) > 50
+
+
+def test_what_stands_still_is_not_drawn_again(browser, motions, tmp_path):
+    browser.open(save_html(motions[:1], tmp_path / "page.html"))
+    browser.until(f"{FIRST}.tracks")
+    browser.js(f"kinema.playAll(false); {FIRST}.seek(10)")
+    browser.drawn()
+    browser.js("{const draw = kinema.draw; window.times = 0; kinema.draw = (...a) => { window.times++; draw(...a); }}")
+    browser.drawn()
+    assert browser.js("window.times") == 0
+    browser.js(f"{FIRST}.state.view.turn += 1")
+    browser.drawn()
+    assert browser.js("window.times") == 1
+
+
 def test_an_edit_shows_what_was_kept(browser, motions, tmp_path):
     kept = np.arange(60) < 20
     browser.open(save_html([replace(motions[0], kept=kept)], tmp_path / "page.html"), dark=True)

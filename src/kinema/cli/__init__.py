@@ -63,8 +63,13 @@ KEEP_HELP = (
 )
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 PROMPTS_HELP = (
-    "file of prompts, one a line, in place of TEXT; `a person walks#120` says how many frames it has, others take "
-    "--seconds or --frames, or an estimate"
+    "file of prompts in place of TEXT: .txt, one a line (`a person walks#120` says its frames); .csv and .jsonl with "
+    "text and, if you like, frames or seconds, count, seed, name. What a prompt doesn't say the options do"
+)
+BATCH_HELP = "motions generated at once (default: 32); 1 gives the bits that a motion has alone"
+OUT_HELP = (
+    f"file to write: {MOTIONS}; several motions are numbered, or named by a template, with a manifest.jsonl beside: "
+    "'motions/{index:03d}-{slug}-{seed}.bvh', of index, slug (of the text), seed, take, name"
 )
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
@@ -152,7 +157,10 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--prompts", metavar="FILE", help=PROMPTS_HELP)
     make.add_argument("--seconds", type=float, help="length; estimated from the text if the run has an estimator")
     make.add_argument("--frames", type=int, help="length in frames")
-    make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")
+    make.add_argument(
+        "--count", type=int, default=1, metavar="N", help="motions of each text, each with a seed of its own"
+    )
+    make.add_argument("--batch-size", type=int, default=32, metavar="N", help=BATCH_HELP)
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument(
@@ -169,7 +177,7 @@ def _parser() -> argparse.ArgumentParser:
     for one in (make, change):
         one.add_argument("--run", required=True, help=RUN_HELP)
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
-        one.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
+        one.add_argument("--out", required=True, help=OUT_HELP if one is make else f"file to write: {MOTIONS}")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
@@ -220,6 +228,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_convention(check)
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
+    _add_gallery(add("gallery", "show files of motion on one page, side by side and in step", "gallery:gallery"))
     _add_runs(add)
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
@@ -263,6 +272,15 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     rigs.add_argument("--loop", action="store_true", help="let the last half second become the first pose")
     rigs.add_argument("--z-up", action="store_true", help="Z up, facing -Y (.bvh; .amass.npz always is)")
     rigs.add_argument("--unit", choices=("cm", "m"), default="cm", help="unit of lengths (.bvh; others are metres)")
+    _add_convention(parser)
+
+
+def _add_gallery(parser: argparse.ArgumentParser) -> None:
+    """Add which motions are shown, and where."""
+    what = "files of motion (.npz, .npy, .bvh, .amc), or a manifest.jsonl: the files that it names, with their texts"
+    parser.add_argument("files", nargs="+", metavar="FILE", help=what)
+    parser.add_argument("--out", required=True, metavar="PAGE", help="page (.html) to write; it needs no other file")
+    parser.add_argument("--title", help="heading of the page")
     _add_convention(parser)
 
 

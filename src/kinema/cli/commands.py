@@ -7,12 +7,12 @@ import json
 import os
 import platform
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
 from kinema.cli.convention import told
+from kinema.cli.takes import Batch, check_made
 from kinema.data import doctor as examine
 from kinema.data.captures import SUFFIXES
 from kinema.data.prepare import check_reader, read_corpus, takes
@@ -29,7 +29,10 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
+from kinema.pipeline.naming import is_template
+from kinema.pipeline.requests import takes_of
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.console import printable
@@ -42,19 +45,33 @@ from kinema.types import Motion
 
 
 def generate(options: argparse.Namespace) -> None:
-    """Generate one motion per text, or one long motion of all."""
-    if options.count < 1 or (options.chain and options.count > 1):
-        raise ValueError(f"--count {options.count}; it must be at least 1, and 1 with --chain")
-    prompts = [prompt for prompt in _prompts(options) for _ in range(options.count)]
-    texts = [prompt.text for prompt in prompts]
-    files = _files(options.out, 1 if options.chain else len(texts))
+    """Generate the motions of each text, or one long motion of all."""
+    if options.chain and options.count > 1:
+        raise ValueError(f"--count {options.count} with --chain, which makes one motion of all texts")
+    prompts = _prompts(options)
+    if options.chain and any(prompt.count or prompt.seed is not None for prompt in prompts):
+        raise ValueError("--chain makes one motion of all prompts, of one --seed: leave out their seed and count")
+    asked = takes_of(prompts, count=options.count, seed=options.seed)
+    many = is_template(options.out)
+    if many and options.chain:
+        raise ValueError(f"--out {options.out}: --chain makes one motion; name its file without braces")
+    files = _files(options.out, 1 if options.chain or many else len(asked))
+    batch = Batch.named(options.out, asked) if many else None
     model = _model(options)
-    lengths = _lengths(options, prompts, model.skeleton.fps)
+    fps = model.skeleton.fps
+    (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
+    lengths = model.lengths([take.frames(usual, fps) for take in asked], None, len(asked))
     model.changed_sampling(options.set)  # before its names can stand for other arguments
-    if options.chain:
-        _write([model.chain(texts, **lengths, seed=options.seed, **options.set)], files)
+    check_made(asked, model, options.set)
+    texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
+    if batch is not None:
+        batch.write(model, lengths, options)
         return
-    _write(model.generate(texts, **lengths, seed=options.seed, **options.set), files)
+    if options.chain:
+        made = [model.chain(texts, lengths, seed=options.seed, **options.set)]
+    else:
+        made = model.generate(texts, lengths, seed=seeds, batch_size=options.batch_size, **options.set)
+    _write(made, files)
 
 
 def edit(options: argparse.Namespace) -> None:
@@ -175,22 +192,13 @@ def info(options: argparse.Namespace) -> None:
 def _prompts(options: argparse.Namespace) -> list[Prompt]:
     """Return what is to be generated: the texts of the command line, or those of a file."""
     if bool(options.text) == (options.prompts is not None):
-        raise ValueError("give TEXT, one or several, or --prompts FILE (one prompt a line), and not both")
+        raise ValueError("give TEXT, one or several, or --prompts FILE (.txt, .csv, .jsonl), and not both")
     if options.prompts is not None:
         return read_prompts(options.prompts)
     for text in options.text:
         if is_file_name(text):
             raise ValueError(f"{text} is the name of a file, not what a person does; give --prompts {text}")
     return [Prompt(text) for text in options.text]
-
-
-def _lengths(options: argparse.Namespace, prompts: list[Prompt], fps: float) -> dict[str, Any]:
-    """Return the lengths asked for: a prompt's own, else that of the command line; None is the model's to say."""
-    if all(prompt.frames is None for prompt in prompts) or None not in (options.frames, options.seconds):
-        return {"frames": options.frames, "seconds": options.seconds}
-    check_value(options.seconds, float | None, "--seconds")
-    other = options.frames if options.seconds is None else round(options.seconds * fps)
-    return {"frames": [other if prompt.frames is None else prompt.frames for prompt in prompts]}
 
 
 def _model(options: argparse.Namespace) -> TextToMotion:
@@ -223,4 +231,5 @@ def _write(motions: list[Motion], files: list[Path]) -> None:
         for motion, file in zip(motions, files, strict=True):
             export.save(motion, file)
     frames = ", ".join(str(len(m.joints)) for m in motions)
-    print(f"wrote {', '.join(map(str, files))} ({frames} frames, seed {motions[0].seed})")
+    seeds = list(dict.fromkeys(str(m.seed) for m in motions))
+    print(f"wrote {', '.join(map(str, files))} ({frames} frames, seed{'s' * (len(seeds) > 1)} {', '.join(seeds)})")

@@ -146,7 +146,7 @@ class TextToMotion:
         frames: int | Sequence[int | None] | None = None,
         *,
         seconds: float | Sequence[float | None] | None = None,
-        seed: int | None = None,
+        seed: int | list[int] | None = None,
         batch_size: int = 32,
         **sampling: Any,
     ) -> list[Motion]:
@@ -154,13 +154,13 @@ class TextToMotion:
 
         Where none is given (None), a generator that ends its sequences itself decides, else the length estimator.
 
-        Keyword arguments replace fields of the generator's sampling. The same seed gives the same list; a motion's
-        own `seed` gives it again alone. Raises ValueError for empty texts, lengths out of range, unknown fields.
+        Keyword arguments replace fields of the generator's sampling. The same seed gives the same list, a list of seeds
+        is one for each: a motion's own gives it again alone. Raises ValueError for what is empty, unknown or too long.
         """
         texts = check_texts(texts)
         options = self.changed_sampling(sampling)
         seeds = request_seeds(seed, len(texts))
-        counts = self._lengths(frames, seconds, len(texts))
+        counts = self.lengths(frames, seconds, len(texts))
         motions: dict[int, Motion] = {}
         with self._inference():
             for part in batches_by_length(counts, batch_size):
@@ -193,7 +193,7 @@ class TextToMotion:
         # A transition draws its own numbers, not those of the part before it.
         seeds = request_seeds(seed, 2 * len(texts) - 1)
         seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
-        counts = self._lengths(frames, seconds, len(texts))
+        counts = self.lengths(frames, seconds, len(texts))
         if None in counts and any(counts):
             raise ValueError("parts of one motion need a length each, or none has one: give --frames or --seconds")
         with self._inference():
@@ -289,7 +289,8 @@ class TextToMotion:
         check(type(self.generator.sampling), changes, "sampling")
         return replace(self.generator.sampling, **changes)
 
-    def _lengths(self, frames: Any, seconds: Any, size: int) -> list[int | None]:
+    def lengths(self, frames: Any, seconds: Any, size: int) -> list[int | None]:
+        """Return the frames of each of `size` motions (None: the model's to say); refuse what cannot be generated."""
         counts = frame_counts(frames, seconds, size, fps=self.skeleton.fps, maximum=self.max_frames)
         if None in counts and not self.knows_lengths:
             raise ValueError("no length: give frames= or seconds=, or a length estimator (length=RUN, --length RUN)")

@@ -27,7 +27,6 @@
       this.prompts = this.readPrompts();
       this.makeChoice(section.querySelector(".kinema-choice"));
       this.show();
-      kinema.syncAll(true);
     }
     readPrompts() {                                       // the k-th motion of a text is the same clip for all sources
       const prompts = new Map();

@@ -41,7 +41,7 @@ def gallery(groups: Sequence[Group]) -> str:
         "<i class='kinema-made'></i>generated frames</p>"
     )
     return (
-        "<section class='kinema-viewer kinema-gallery' id='motions'>\n<h2>Motions</h2>\n"
+        "<section class='kinema-viewer kinema-gallery' id='motions' data-sync>\n<h2>Motions</h2>\n"
         f"{TOOLBAR}\n{legend if edits else ''}<div class='kinema-choice'></div>\n<div class='kinema-prompts'></div>\n"
         f"<script type='application/json'>{inert(list(groups))}</script>\n"
         f"<noscript>{escape('The players need JavaScript.')}</noscript>\n</section>"

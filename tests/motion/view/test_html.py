@@ -18,7 +18,7 @@ import kinema.motion.view.html as viewer
 from kinema.motion.skeleton import HUMANML3D, KIT
 from kinema.motion.view.body import body_of, joint_sides
 from kinema.motion.view.html import SCRIPTS, save_html, viewer_fragment
-from kinema.motion.view.packed import pack, ranges
+from kinema.motion.view.packed import pack, ranges, standing
 from kinema.types import Motion
 
 
@@ -131,6 +131,29 @@ def test_script_is_valid_javascript(name):
     script = Path(viewer.__file__).with_name(name)
     done = subprocess.run([node, "--check", str(script)], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("skeleton", [HUMANML3D, KIT], ids=lambda s: s.name)
+def test_every_bone_is_a_limb_or_inside_the_trunk(wander, skeleton):
+    body = body_of(Motion(wander(skeleton, 40), np.zeros((40, 1)), "", skeleton.name, skeleton.fps))
+    names = skeleton.joint_names
+    limbs = {"left_knee", "left_ankle", "left_elbow", "left_wrist", "right_elbow", "head"}
+    assert limbs <= {names[joint] for joint in body.bones}
+    assert {"left_hip", "right_hip", "left_shoulder", "right_shoulder", "pelvis"} <= {
+        names[joint] for joint in (*body.trunk[0], *body.trunk[1])
+    }
+    assert not set(body.bones) & {joint for part in body.trunk for joint in part}
+    assert [names[joint] for joint in body.hands] in (["left_wrist", "right_wrist"], ["right_wrist", "left_wrist"])
+    assert {skeleton.parents[joint] for joint in body.bones} <= {*body.bones, *body.trunk[0], *body.trunk[1]}
+
+
+def test_feet_that_stand_are_ranges(motion):
+    still = np.repeat(motion.joints[:1], 50, axis=0)
+    left, right = standing(replace(motion, joints=still))
+    lowest = HUMANML3D.feet_left[-1], HUMANML3D.feet_right[-1]
+    heights = [still[0, toe, 1] for toe in lowest]
+    assert (left, right)[int(np.argmin(heights))] == [(0, 50)]
+    assert standing(replace(motion, joints=still + np.linspace(0, 20, 50, dtype=np.float32)[:, None, None])) == [[], []]
 
 
 def test_kept_frames_are_ranges(motion):

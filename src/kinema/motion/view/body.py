@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,27 @@ if TYPE_CHECKING:
 
 LEFT, MIDDLE, RIGHT = -1, 0, 1
 
+THICKNESS = {
+    "pelvis": 0.062,
+    "spine": 0.062,
+    "chest": 0.066,
+    "neck": 0.03,
+    "head": 0.03,
+    "hip": 0.05,
+    "knee": 0.034,
+    "ankle": 0.025,
+    "midfoot": 0.02,
+    "foot": 0.017,
+    "toe": 0.016,
+    "collar": 0.045,
+    "shoulder": 0.034,
+    "elbow": 0.025,
+    "wrist": 0.017,
+}
+"""Radii of a body at its joints, as shares of its stature."""
+USUAL = 0.03
+"""Of a joint that has none of these names."""
+
 
 @dataclass(frozen=True)
 class Body:
@@ -24,6 +46,11 @@ class Body:
     face_joints: tuple[int, int, int, int]
     head: int
     stature: float
+    radii: tuple[float, ...]
+    trunk: tuple[tuple[int, ...], tuple[int, ...]]
+    bones: tuple[int, ...]
+    hands: tuple[int, ...]
+    toes: tuple[int, int]
 
 
 def metres(motion: Motion) -> np.ndarray:
@@ -57,7 +84,13 @@ def body_of(motion: Motion) -> Body:
     parents = tuple(int(p) for p in skeleton.parents)
     leaves = set(range(len(parents))) - set(parents)
     head = next(j for j in sorted(leaves) if sides[j] == MIDDLE)
-    return Body(parents, sides, skeleton.face_joints, head, _stature(metres(motion), skeleton, head))
+    stature = _stature(metres(motion), skeleton, head)
+    radii = tuple(THICKNESS.get(re.sub(r"^(left|right)_|\d$", "", name), USUAL) for name in skeleton.joint_names)
+    trunk, inside = _trunk(skeleton, sides, head)
+    bones = tuple(joint for joint in range(1, len(parents)) if joint not in inside)
+    toes = (skeleton.feet_left[-1], skeleton.feet_right[-1])
+    hands = tuple(joint for joint in sorted(leaves) if joint not in (head, *toes))
+    return Body(parents, sides, skeleton.face_joints, head, stature, radii, trunk, bones, hands, toes)
 
 
 def joint_sides(skeleton: Skeleton) -> tuple[int, ...]:
@@ -66,6 +99,20 @@ def joint_sides(skeleton: Skeleton) -> tuple[int, ...]:
     for left, right in skeleton.mirror_pairs:
         sides[left], sides[right] = LEFT, RIGHT
     return tuple(sides)
+
+
+def _trunk(
+    skeleton: Skeleton, sides: tuple[int, ...], head: int
+) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[int]]:
+    """Return the joints around which pelvis and chest lie, and all joints that are inside of them."""
+    r_hip, l_hip, *shoulders = skeleton.face_joints
+    inside = {r_hip, l_hip, *shoulders, skeleton.parents[head]}
+    for joint in (*shoulders, skeleton.parents[head]):
+        while joint > 0:
+            joint = skeleton.parents[joint]
+            inside.add(joint)
+    spine = sorted(joint for joint in inside if sides[joint] == MIDDLE)
+    return ((spine[0], r_hip, l_hip, spine[1]), (spine[1], *shoulders, *spine[2:])), inside
 
 
 def _stature(joints: np.ndarray, skeleton: Skeleton, head: int) -> float:

@@ -1,4 +1,4 @@
-"""Draw a figure with matplotlib: the same camera, colours and limbs as the players in the browser."""
+"""Draw a figure with matplotlib: the same camera and colours as the players in the browser, limbs as lines."""
 
 from __future__ import annotations
 

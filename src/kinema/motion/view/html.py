@@ -1,4 +1,4 @@
-"""Show motions in the browser: one self-contained page of stick-figure players, no network, no libraries."""
+"""Show motions in the browser: one self-contained page of players, no network, no libraries."""
 
 from __future__ import annotations
 
@@ -18,15 +18,24 @@ from kinema.motion.view.packed import broken_from, playable
 if TYPE_CHECKING:
     from kinema.types import Motion
 
-SCRIPTS = ("track.js", "scene.js", "viewer.js")
+SCRIPTS = ("track.js", "figure.js", "scene.js", "viewer.js")
 
 
-def save_html(motions: Sequence[Motion], path: str | Path, title: str = "Kinema motions") -> Path:
-    """Write one self-contained page that plays the motions in a grid, each with its caption."""
+def save_html(
+    motions: Sequence[Motion],
+    path: str | Path,
+    title: str = "Kinema motions",
+    *,
+    labels: Sequence[str] | None = None,
+    groups: Sequence[str] | None = None,
+    sync: bool = False,
+) -> Path:
+    """Write one self-contained page that plays the motions in a grid, each with its caption (see `viewer_fragment`)."""
     if not motions:
         raise ValueError("save_html got no motions: pass at least one")
     heading = f"<header class='kinema-page-head'><h1>{escape(title)}</h1><p>{_count(motions)}</p></header>"
-    return write_text(path, page(title, f"<main class='kinema-page'>{heading}{viewer_fragment(motions)}</main>"))
+    players = viewer_fragment(motions, labels=labels, groups=groups, sync=sync)
+    return write_text(path, page(title, f"<main class='kinema-page'>{heading}{players}</main>"))
 
 
 def page(title: str, body: str, style: str = "", script: str = "") -> str:
@@ -58,11 +67,12 @@ def viewer_fragment(
     *,
     labels: Sequence[str] | None = None,
     groups: Sequence[str] | None = None,
+    sync: bool = False,
 ) -> str:
     """Return the players, their toolbar, style and script for embedding into any page (several times if need be).
 
-    `labels` names each motion (a method, say); neighbouring motions of equal `groups` stand below one heading. A motion
-    with coordinates that are not finite gets a panel that says so instead of a player.
+    `labels` names each motion (a method, say); neighbouring motions of equal `groups` stand below one heading. `sync`
+    starts them on one clock. A motion with coordinates that are not finite gets a panel that says so, and no player.
     """
     labels, groups = _parallel(labels, motions, "labels"), _parallel(groups, motions, "groups")
     items = list(zip(motions, labels, groups, strict=True))
@@ -71,8 +81,9 @@ def viewer_fragment(
         figures = "\n".join(_figure(motion, label, group) for motion, label, _ in members)
         heading = f"<h3 class='kinema-group'>{escape(group)}</h3>\n" if group else ""
         sections.append(f"{heading}<div class='kinema-grid'>\n{figures}\n</div>")
+    kind = f"class='kinema-viewer{' kinema-many' * (len(motions) > 1)}'{' data-sync' * sync}"
     return (
-        f"<style>\n{viewer_style()}</style>\n<section class='kinema-viewer'>\n{TOOLBAR}\n"
+        f"<style>\n{viewer_style()}</style>\n<section {kind}>\n{TOOLBAR}\n"
         + "\n".join(sections)
         + f"\n<noscript>The players need JavaScript.</noscript>\n</section>\n<script>\n{viewer_script()}</script>"
     )
@@ -140,7 +151,8 @@ aria-label='Time of all motions'></label>
 <button type='button' data-action='reset' title='Reset the cameras'>Reset view</button>
 <label>Speed <select data-action='speed' aria-label='Speed'><option>0.25</option><option>0.5</option>
 <option selected>1</option><option>2</option></select></label>
-<span class='kinema-legend'><i class='kinema-left'></i>left <i class='kinema-right'></i>right</span>
+<span class='kinema-legend'><i class='kinema-left'></i>left <i class='kinema-right'></i>right
+<i class='kinema-stands'></i>foot stands</span>
 <span class='kinema-hint'>drag to orbit · click, then wheel to zoom · double-click resets ·
 space plays · ← → step</span>
 </div>"""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kinema.motion.skeleton import get_skeleton
 from kinema.motion.view.body import body_of, metres
 
 if TYPE_CHECKING:
@@ -54,9 +55,25 @@ def playable(motion: Motion) -> dict[str, Any]:
         "stature": round(body.stature, 4),
         "scale": float(f"{packed.scale:.9g}"),
         "centre": [float(f"{c:.6g}") for c in packed.centre],
+        "radii": body.radii,
+        "bones": body.bones,
+        "trunk": body.trunk,
+        "hands": body.hands,
+        "toes": body.toes,
+        "standing": standing(motion),
         "kept": ranges(motion.kept),
         "joints": packed.data,
     }
+
+
+def standing(motion: Motion) -> list[list[tuple[int, int]]]:
+    """Return the ranges of frames in which the left and the right foot stand; the lowest toe of all is on the floor."""
+    from kinema.motion.feet import contacts  # here: it needs torch, and most of a report does not
+
+    skeleton, joints = get_skeleton(motion.skeleton), metres(motion)
+    toes = [joints[:, foot[-1]].astype(np.float64) for foot in (skeleton.feet_left, skeleton.feet_right)]
+    floor = min(float(toe[:, 1].min()) for toe in toes)
+    return [ranges(contacts(toe - [0, floor, 0], motion.fps)) for toe in toes]
 
 
 def ranges(mask: np.ndarray | None) -> list[tuple[int, int]]:

@@ -1,7 +1,7 @@
 // A view of one or several tracks on their ground: colours of the page, the camera, the grid.
 (() => {
   "use strict";
-  const NAMES = ["stage", "grid", "accent", "left", "right", "middle", "shadow", "kept", "made",
+  const NAMES = ["stage", "grid", "accent", "left", "right", "middle", "shadow", "stands", "kept", "made",
                  "overlay-0", "overlay-1", "overlay-2", "overlay-3", "overlay-4", "overlay-5"];
   let theme = readTheme();
 
@@ -11,6 +11,21 @@
   }
   function parse(hex) { return [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)); }
   function css(rgb, alpha = 1) { return `rgba(${rgb.map(Math.round).join(",")},${alpha})`; }
+  function lit(rgb, light) {                              // 0: in its own shade, to 1: a gleam
+    const strength = 0.55 + 0.66 * light;
+    return strength < 1 ? rgb.map((v) => v * strength) : mix(rgb, [255, 255, 255], 0.9 * (strength - 1));
+  }
+  const pairs = new WeakMap();                            // of one colour, a lighter one for left and a darker for right
+  function sided(rgb, side) {
+    if (!pairs.has(rgb)) pairs.set(rgb, [mix(rgb, [255, 255, 255], 0.22), rgb, mix(rgb, [0, 0, 0], 0.2)]);
+    return pairs.get(rgb)[side + 1];
+  }
+  const tones = new WeakMap();                            // of each colour, by fog and light: written once
+  function tone(rgb, fog, light) {
+    const [step, strength] = [Math.round(24 * fog), Math.round(32 * Math.max(light, 0))], key = step * 64 + strength;
+    if (!tones.has(rgb)) tones.set(rgb, []);
+    return tones.get(rgb)[key] ??= css(mix(lit(rgb, strength / 32), theme.stage, step / 24));
+  }
   function mix(a, b, t) { return a.map((v, i) => v + (b[i] - v) * t); }
 
   function camera(tracks, time, view, follow, width, height) {
@@ -77,14 +92,17 @@
       const pose = track.pose(frame), paint = paints(track, i, tracks.length);
       if (settings.trail)
         track.drawTrail(ink, eye, frame, (at, alpha) => css(paint ? paint(at) : theme.accent, alpha));
-      track.drawShadow(ink, eye, pose, css(theme.shadow, 0.22));
-      const base = (side) => paint ? paint(frame) : side < 0 ? theme.left : side > 0 ? theme.right : theme.middle;
-      const shade = (side, fog) => css(mix(base(side), theme.stage, fog));
-      parts.push(...track.parts(ink, eye, pose, css(theme.stage, 0.9), shade));
+      const body = kinema.figure.pieces(track, pose);
+      kinema.figure.drawShadow(ink, eye, body, css(theme.shadow, 0.22));
+      kinema.figure.drawContacts(track, ink, eye, pose, frame, css(theme.stands, 0.9));
+      const base = (side) => paint ? sided(paint(frame), side) : [theme.left, theme.middle, theme.right][side + 1];
+      const colour = (side, fog, light) => tone(base(side), fog, light);
+      parts.push(...kinema.figure.parts(track, ink, eye, body, pose, colour));
     });
     parts.sort((a, b) => b.depth - a.depth).forEach((part) => part.paint());
   }
 
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { theme = readTheme(); });
-  kinema.draw = draw;
+  let shade = 0;                                          // counts changes of the page's colours
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { theme = readTheme(); shade++; });
+  Object.assign(kinema, { draw, shade: () => shade });
 })();

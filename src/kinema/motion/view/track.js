@@ -11,8 +11,10 @@
 
   class Track {
     constructor(data, label) {
+      if (!data.trunk) throw new Error("Packed by an older version: write this report again.");
       Object.assign(this, { parents: data.parents, sides: data.sides, head: data.head, stature: data.stature,
-                            fps: data.fps, kept: data.kept, label });
+                            fps: data.fps, kept: data.kept, face: data.face, radii: data.radii, bones: data.bones,
+                            trunk: data.trunk, hands: data.hands, toes: data.toes, standing: data.standing, label });
       this.joints = decode(data);
       this.frames = this.joints.length / this.parents.length / 3;
       this.facing = this.facingAt(0, data.face);
@@ -20,6 +22,7 @@
     }
     at(frame, joint, axis) { return this.joints[(frame * this.parents.length + joint) * 3 + axis]; }
     frame(time) { return Math.min(Math.max(time * this.fps, 0), this.frames - 1); }   // a short one holds its end
+    stands(foot, frame) { return this.standing[foot].some(([start, end]) => frame >= start && frame < end); }
     keeps(frame) { return this.kept.some(([start, end]) => frame >= start && frame < end); }
     centre(time) { return this.path[Math.round(this.frame(time))]; }
 
@@ -65,47 +68,6 @@
         ink.stroke();
       }
       ink.setLineDash([]);
-    }
-    drawShadow(ink, camera, pose, colour) {
-      ink.beginPath();
-      for (let j = 1; j < this.parents.length; j++) {
-        const a = 3 * j, b = 3 * this.parents[j];
-        const p = camera.project(pose[a], 0, pose[a + 2]), q = camera.project(pose[b], 0, pose[b + 2]);
-        if (p && q) { ink.moveTo(p[0], p[1]); ink.lineTo(q[0], q[1]); }
-      }
-      ink.lineWidth = 0.05 * this.stature * camera.focal / camera.distance;
-      ink.strokeStyle = colour;
-      ink.stroke();
-    }
-    parts(ink, camera, pose, rim, shade) {                // what to paint, each with its depth: limbs and the skull
-      const points = this.parents.map((_, j) => camera.project(pose[3 * j], pose[3 * j + 1], pose[3 * j + 2]));
-      const middle = points[0] ? points[0][2] : camera.distance;
-      const fog = (depth) => Math.min(Math.max(0.12 + (depth - middle) / (1.6 * this.stature), 0), 0.45);
-      const parts = [];
-      this.parents.forEach((parent, j) => {
-        const p = points[j], q = points[parent];
-        if (j === 0 || !p || !q) return;
-        parts.push({ depth: (p[2] + q[2]) / 2, paint: () => {
-          const thick = (this.sides[j] ? 0.031 : 0.036) * this.stature * (p[3] + q[3]) / 2;
-          ink.beginPath(); ink.moveTo(q[0], q[1]); ink.lineTo(p[0], p[1]);
-          ink.lineCap = "butt";                           // a rim sets limbs off where they cross, not at the joints
-          ink.lineWidth = thick + 2.5; ink.strokeStyle = rim; ink.stroke();
-          ink.lineCap = "round";
-          ink.lineWidth = thick; ink.strokeStyle = shade(this.sides[j], fog((p[2] + q[2]) / 2)); ink.stroke();
-        } });
-      });
-      const skull = this.skull(pose), h = camera.project(...skull.centre);
-      if (h) parts.push({ depth: h[2], paint: () => {
-        ink.beginPath(); ink.arc(h[0], h[1], skull.radius * h[3], 0, 7);
-        ink.lineWidth = 2.5; ink.strokeStyle = rim; ink.stroke();
-        ink.fillStyle = shade(0, fog(h[2])); ink.fill();
-      } });
-      return parts;
-    }
-    skull(pose) {                                         // the head joint sits at the skull's base
-      const a = 3 * this.head, b = 3 * this.parents[this.head], radius = 0.06 * this.stature;
-      const bone = [0, 1, 2].map((k) => pose[a + k] - pose[b + k]), length = Math.hypot(...bone) || 1;
-      return { radius, centre: bone.map((v, k) => pose[a + k] + 0.6 * radius * v / length) };
     }
   }
 

@@ -98,10 +98,13 @@
       if (!width || !height || !this.tracks) return;
       const [w, h] = [Math.round(width * ratio), Math.round(height * ratio)];
       if (this.canvas.width !== w || this.canvas.height !== h) Object.assign(this.canvas, { width: w, height: h });
+      const { time, playing, view } = this.state, { follow, trail } = settings;
+      const now = [time, playing, view.turn, view.pitch, view.zoom, follow, trail, w, h, kinema.shade()].join();
+      if (now === this.drawn) return;                     // what stands still costs nothing
+      this.drawn = now;
       const ink = this.canvas.getContext("2d");
       ink.setTransform(ratio, 0, 0, ratio, 0, 0);
-      const how = { ...settings, whole: !this.state.playing };
-      kinema.draw(ink, this.tracks, this.state.time, this.state.view, how, width, height);
+      kinema.draw(ink, this.tracks, time, view, { ...settings, whole: !playing }, width, height);
       this.report();
     }
     report() {
@@ -115,6 +118,7 @@
     }
     show(visible) {                                       // what is out of view holds no pixels
       this.visible = visible;
+      this.drawn = null;
       if (visible) this.load(); else this.canvas.width = this.canvas.height = 0;
     }
   }
@@ -181,6 +185,10 @@
         if (action) { action(); refreshToolbars(); }
       };
       bar.oninput = (e) => { changes[e.target.dataset.action]?.(+e.target.value); refreshToolbars(); };
+    });
+    document.querySelectorAll(".kinema-viewer[data-sync]").forEach((viewer) => {
+      delete viewer.dataset.sync;
+      syncAll(true);
     });
     refreshToolbars();
   }

@@ -1,0 +1,36 @@
+"""A manifest has one line a file: a rerun replaces what it wrote again and leaves the rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from kinema.text.manifest import Entry, add, read_manifest
+from kinema.text.prompts import Prompt, read_prompts
+
+WALK = Entry(
+    "walk.npz", "a person walks", 7, 80, "asked", 20.0, 1, "w", "humanml3d", "mar", "0123", "MARDM", {}, 1, "cpu", {}
+)
+BOW = replace(WALK, file="démarre.npz", text="bow", length="model", name=None, sampling={"steps": [1, 2]})
+
+
+def test_a_line_is_replaced_by_that_of_the_same_file(tmp_path):
+    add(tmp_path, [WALK, BOW])
+    again = replace(WALK, seed=8)
+    path = add(tmp_path, [again, replace(WALK, file="new.npz")])
+    assert read_manifest(path) == [again, BOW, replace(WALK, file="new.npz")]
+    assert "démarre" in path.read_text(encoding="utf-8")
+
+
+def test_lines_are_prompts_that_ask_for_the_same_motions(tmp_path):
+    walk, bow = read_prompts(add(tmp_path, [WALK, BOW]))
+    assert walk == Prompt("a person walks", 80, seed=7, name="w", entry=WALK)
+    assert bow.frames is None  # a length that was the model's own
+
+
+def test_a_damaged_line_is_named(tmp_path):
+    path = add(tmp_path, [WALK])
+    path.write_text(path.read_text() + '{"file": "a.npz"')
+    with pytest.raises(ValueError, match=r"manifest.jsonl, line 2 is damaged .* take the line out"):
+        add(tmp_path, [BOW])
