@@ -30,6 +30,7 @@ from kinema.motion.view.html import save_html
 from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import largest_seam, parse_ranges
+from kinema.pipeline.models import DEFAULT, find_model
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.console import printable
@@ -160,7 +161,7 @@ def info(options: argparse.Namespace) -> None:
     if options.run is None:
         print(json.dumps({**versions(), "system": platform.platform(), "cuda": torch.version.cuda}, indent=2))
         return
-    path = find_run(options.run)
+    path = find_model(options.run)
     file = RunFolder(path).weights if path.is_dir() else path
     parts = Listed(RunFolder(path)).describe() if path.is_dir() else {}
     if file.exists() or not parts:
@@ -195,7 +196,7 @@ def _lengths(options: argparse.Namespace, prompts: list[Prompt], fps: float) -> 
 
 def _model(options: argparse.Namespace) -> TextToMotion:
     parts = {} if options.length is None else {LENGTH: options.length}
-    return TextToMotion.from_run(options.run, options.device, **parts)
+    return TextToMotion.from_pretrained(options.run or DEFAULT, options.device, **parts)
 
 
 def _files(out: str, count: int) -> list[Path]:
