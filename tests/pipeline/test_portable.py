@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import warnings
 from dataclasses import replace
@@ -11,6 +12,7 @@ import pytest
 import torch
 import yaml
 
+from kinema.atomic import write_json
 from kinema.files.checkpoints import read_safetensors
 from kinema.pipeline import TextToMotion, models
 from kinema.pipeline.card import Card
@@ -112,6 +114,20 @@ def test_a_threshold_stands_at_the_foreign_end_of_the_gap():
     own, foreign = torch.linspace(0.8, 1, 101), torch.linspace(0, 0.5, 101)
     assert threshold_between(own, foreign) == pytest.approx(0.485)
     assert threshold_between(foreign, own) == pytest.approx(0.005)  # no gap: of its own 1 %
+
+
+@pytest.mark.parametrize("rows", [{"sources": [{"source": "x"}]}, {"figures": [3]}, {"commands": [None]}])
+def test_a_card_of_other_rows_is_named(packed, rows):
+    write_json(packed / "card.json", json.loads((packed / "card.json").read_text()) | rows)
+    with pytest.raises(ValueError, match=rf"card\.json has '{next(iter(rows))}': a row (has|holds)"):
+        Card.read(packed)
+
+
+def test_a_downloaded_repertoire_does_not_steer_a_terminal(packed, repertoire):
+    replace(repertoire, owners=["\x1b[2Jwalk", "jump", "wave"]).write(packed)
+    with pytest.warns(UserWarning, match="is far from all") as told:
+        TextToMotion.from_pretrained(packed, "cpu").encode(["quantum computers"])
+    assert "\x1b" not in str(told[0].message)
 
 
 @pytest.mark.parametrize(

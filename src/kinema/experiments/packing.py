@@ -46,7 +46,7 @@ def pack(run: str | Path, out: str | Path, *, half: bool, licence: str | None, r
     store = PackedStore.open(open_corpus(compose([f"stage={GENERATOR}", *words, *asked])))
     sources = _sources(store)
     trained = ["kinema", "train", f"stage={GENERATOR}", *words, *asked]
-    packed = ["kinema", "pack", f"{cfg.paths.runs}/{GENERATOR}/{folder.name}", "--out", out.name]
+    packed = ["kinema", "pack", f"runs/{GENERATOR}/{folder.name}", "--out", out.name]
     packed += ["--half"] if half else []
     skeleton, longest = model.skeleton, model.max_frames
     model.card = Card(

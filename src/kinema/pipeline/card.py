@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from kinema.atomic import write_json, write_text
-from kinema.files.json import Each, read_json
+from kinema.files.json import Each, fault, read_json
+from kinema.files.kinds import refuse
 
 CARD, PAGE = "card.json", "README.md"
 MOST = 1 << 20
@@ -28,6 +29,12 @@ KINDS = {
     "settings": dict,
     "versions": Each(str),
 }
+ROWS: dict[str, Any] = {
+    "sources": {"source": str, "licence": str, "clips": int},
+    "figures": {"split": str, "scores": Each(str), "command": str},
+    "commands": str,
+}
+"""What each row of a list holds."""
 UNKNOWN = "that of the corpus"
 """The licence of a model whose corpus names none."""
 
@@ -63,6 +70,10 @@ class Card:
         if not file.is_file():
             return None
         found = read_json(file, KINDS, most=MOST, fix=FIX)
+        for name, kind in ROWS.items():
+            for row in found[name]:
+                if wrong := fault(row, kind):
+                    raise refuse(file, f"has {name!r}: a row {wrong}", FIX)
         return cls(**{key: found[key] for key in KINDS})
 
     def write(self, folder: Path) -> None:

@@ -17,6 +17,7 @@ from kinema.atomic import replacing
 from kinema.files.checkpoints import read_safetensors
 from kinema.files.json import NUMBER, Each, parse_json
 from kinema.files.kinds import refuse
+from kinema.runs.console import printable
 from kinema.types import TextFeatures
 
 REPERTOIRE = "repertoire.safetensors"
@@ -55,9 +56,10 @@ class Repertoire:
         far = [one for one, row in rows.items() if row.max() < self.threshold]
         if far:
             who = f"{far[0][:60]!r} is" if len(far) == 1 else f"{far[0][:60]!r} and {len(far) - 1} more texts are"
+            nearest = printable("; ".join(self.nearest(rows[far[0]])))  # a downloaded file says what they are called
             warnings.warn(
                 f"{who} far from all that this model was trained on; the nearest it knows: "
-                f"{'; '.join(self.nearest(rows[far[0]]))} (`kinema models NAME` lists its actions and styles)",
+                f"{nearest} (`kinema models NAME` lists its actions and styles)",
                 stacklevel=4,
             )
 
