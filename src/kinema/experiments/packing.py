@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections import Counter
+from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Any
 
@@ -41,37 +42,44 @@ def pack(run: str | Path, out: str | Path, *, half: bool, licence: str | None, r
     if not (folder / "config.yaml").is_file():
         raise ValueError(f"{folder} has no config.yaml: only runs that were trained here can say what they are")
     cfg = read_config(folder)
-    words = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
-    asked = changes(cfg, words, "train", MODELS)
-    store = PackedStore.open(open_corpus(compose([f"stage={GENERATOR}", *words, *asked])))
+    train = [f"stage={GENERATOR}", *_words(cfg), *changes(cfg, _words(cfg), "train", MODELS)]
+    store = PackedStore.open(open_corpus(compose(train)))
+    commands = [["kinema", "train", *train], ["kinema", "pack", f"runs/{GENERATOR}/{folder.name}", "--out", out.name]]
+    commands[1] += ["--half"] if half else []
     sources = _sources(store)
-    trained = ["kinema", "train", f"stage={GENERATOR}", *words, *asked]
-    packed = ["kinema", "pack", f"runs/{GENERATOR}/{folder.name}", "--out", out.name]
-    packed += ["--half"] if half else []
-    skeleton, longest = model.skeleton, model.max_frames
-    model.card = Card(
-        name=out.name,
-        method=cfg.method.label,
-        citation=cfg.method.citation,
-        corpus=f"{corpus_label(cfg)} ({store.manifest['hours']:.1f} hours with mirrored clips, content {store.hash})",
-        motion=f"{skeleton.num_joints} joints ({skeleton.name}), {skeleton.fps:g} frames per second, Y up, "
-        f"up to {longest} frames",
-        text_encoder=model.text_encoder.identity,
-        parameters={
-            name: sum(p.numel() for p in part.parameters())
-            for name, part in {GENERATOR: model.generator, TOKENIZER: model.tokenizer, **model.parts}.items()
-        },
-        licence=licence or strictest([one["licence"] for one in sources]),
-        half=half,
-        sources=sources,
-        commands=[shlex.join(trained), shlex.join(packed)],
-        figures=figures(folder),
-        settings={key: value for key, value in _settings(cfg, MODELS).items() if key not in NOT_SAID},
-        versions=RunFolder(folder).status.get("versions") or versions(),
-    )
+    licence = licence or strictest([one["licence"] for one in sources])
+    about: dict[str, Any] = {
+        "half": half,
+        "licence": licence,
+        "sources": sources,
+        "commands": [shlex.join(one) for one in commands],
+    }
+    model.card = replaced(_card(cfg, model, store, folder), name=out.name, **about)
     model.repertoire = repertoire_of(store, model.text_encoder)
     model.save(out, half=half, replace=replace)
     return model
+
+
+def _card(cfg: DictConfig, model: TextToMotion, store: PackedStore, folder: Path) -> Card:
+    """Say what a run and its corpus are."""
+    body, parts = model.skeleton, {GENERATOR: model.generator, TOKENIZER: model.tokenizer, **model.parts}
+    mirrored = " with mirrored clips" if store.manifest["options"].get("mirror") else ""
+    return Card(
+        name=folder.name,
+        method=cfg.method.label,
+        citation=cfg.method.citation,
+        corpus=f"{corpus_label(cfg)} ({store.manifest['hours']:.1f} hours{mirrored}, content {store.hash})",
+        motion=f"{body.num_joints} joints ({body.name}), up to {model.max_frames} frames, {body.fps:g} a second, Y up",
+        text_encoder=model.text_encoder.identity,
+        parameters={name: sum(p.numel() for p in part.parameters()) for name, part in parts.items()},
+        figures=figures(folder),
+        settings=_settings(cfg, MODELS),
+        versions=RunFolder(folder).status.get("versions") or versions(),
+    )
+
+
+def _words(cfg: DictConfig) -> list[str]:
+    return [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
 
 
 def changes(cfg: DictConfig, words: list[str], job: str, nodes: tuple[str, ...]) -> list[str]:
@@ -114,14 +122,13 @@ def strictest(licences: list[str]) -> str:
 
 def _figure(one: Listed) -> dict[str, Any]:
     cfg, split = read_config(one.folder.path), one.provenance["protocol"]["split"]
-    words = [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
-    given = changes(cfg, words, "evaluate", (*MODELS, "scale.protocol", "replications"))
+    given = [*_words(cfg), *changes(cfg, _words(cfg), "evaluate", (*MODELS, "scale.protocol", "replications"))]
     scores = {label: value.text(3) for name, label in SCORES.items() if (value := one.scores().get(name)) is not None}
     scores["replications"] = str(len(one.lines))
     return {
         "split": split,
         "scores": scores,
-        "command": shlex.join(["kinema", "evaluate", "source=generation", *words, *given]),
+        "command": shlex.join(["kinema", "evaluate", "source=generation", *given]),
     }
 
 
