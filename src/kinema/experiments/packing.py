@@ -16,6 +16,7 @@ from kinema.experiments.config import CONF, LENGTHS, compose, plain, read_config
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.listing import EVALUATION, Listed, at, flatten
 from kinema.experiments.repertoires import repertoire_of
+from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.card import UNKNOWN, Card
 from kinema.runs.folder import RunFolder
@@ -24,8 +25,8 @@ from kinema.runs.parts import GENERATOR, TOKENIZER
 from kinema.runs.versions import versions
 
 SCORES = {"r1": "R@1", "r3": "R@3", "fid": "FID", "clip_score": "CLIP-score", "foot_skating": "foot skating"}
-MODELS = ("representation", "text", "tokenizer", "generator", "residual", "retrieval", "length", "data")
-"""What of a configuration a generator rests on."""
+GIVEN = ("representation", "text", "data")
+"""What of a configuration all stages share."""
 NOT_SAID = ("data.source", "data.workers", "data.paper")
 
 
@@ -42,7 +43,7 @@ def pack(run: str | Path, out: str | Path, *, half: bool, licence: str | None, r
     if not (folder / "config.yaml").is_file():
         raise ValueError(f"{folder} has no config.yaml: only runs that were trained here can say what they are")
     cfg = read_config(folder)
-    train = [f"stage={GENERATOR}", *_words(cfg), *changes(cfg, _words(cfg), "train", MODELS)]
+    train = [f"stage={GENERATOR}", *_words(cfg), *changes(cfg, _words(cfg), "train", _nodes())]
     store = PackedStore.open(open_corpus(compose(train)))
     commands = [["kinema", "train", *train], ["kinema", "pack", f"runs/{GENERATOR}/{folder.name}", "--out", out.name]]
     commands[1] += ["--half"] if half else []
@@ -73,13 +74,20 @@ def _card(cfg: DictConfig, model: TextToMotion, store: PackedStore, folder: Path
         text_encoder=model.text_encoder.identity,
         parameters={name: sum(p.numel() for p in part.parameters()) for name, part in parts.items()},
         figures=figures(folder),
-        settings=_settings(cfg, MODELS),
+        settings=_settings(cfg, _nodes()),
         versions=RunFolder(folder).status.get("versions") or versions(),
     )
 
 
 def _words(cfg: DictConfig) -> list[str]:
     return [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
+
+
+def _nodes() -> tuple[str, ...]:
+    """Name what of a configuration a generator rests on: its own part, and those of the stages that stand by it."""
+    stage = get_stage(GENERATOR)
+    others = [*needs_of(stage), *companions_of(stage)]
+    return (*GIVEN, *dict.fromkeys(one.node for one in (stage, *others)))
 
 
 def changes(cfg: DictConfig, words: list[str], job: str, nodes: tuple[str, ...]) -> list[str]:
@@ -122,7 +130,7 @@ def strictest(licences: list[str]) -> str:
 
 def _figure(one: Listed) -> dict[str, Any]:
     cfg, split = read_config(one.folder.path), one.provenance["protocol"]["split"]
-    given = [*_words(cfg), *changes(cfg, _words(cfg), "evaluate", (*MODELS, "scale.protocol", "replications"))]
+    given = [*_words(cfg), *changes(cfg, _words(cfg), "evaluate", (*_nodes(), "scale.protocol", "replications"))]
     scores = {label: value.text(3) for name, label in SCORES.items() if (value := one.scores().get(name)) is not None}
     scores["replications"] = str(len(one.lines))
     return {
