@@ -153,6 +153,15 @@ def open_mocap() -> Path:
 
 
 @pytest.fixture(scope="session")
+def shipped() -> Path:
+    """Return the folder of the package's model, or skip: `tests/test_package.py` fails without it."""
+    folder = ROOT / "src" / "kinema" / "models" / "mardm-sit-open-mocap"
+    if not (folder / "weights.safetensors").is_file():
+        pytest.skip(f"the model of the package is absent: {folder}")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def golden_file(tmp_path_factory) -> Callable[[str], Path]:
     """Find a golden file by name ("vq/schedules.safetensors"): in tests/golden, else in KINEMA_SHARED, else skip."""
     unpacked = tmp_path_factory.mktemp("golden")

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from kinema.pipeline import models
+
 ROOT = Path(__file__).resolve().parents[1]
 BUILD = "from setuptools import build_meta as b; b.build_wheel('dist'); b.build_sdist('dist')"
 LITTER = shutil.ignore_patterns("__pycache__", "*.egg-info", "conf")
@@ -48,6 +50,17 @@ def test_the_wheel_is_the_package_and_its_configurations(built):
     assert names == {f"kinema/{name}" for name in files(ROOT / "src" / "kinema")} | {
         f"kinema/conf/{name}" for name in files(ROOT / "conf")
     }
+
+
+def test_the_package_has_its_model():
+    """Other tests skip without it; this one says that it has to be added (`kinema pack RUN --out ... --half`)."""
+    (model,) = models.shipped()
+    assert model.name == models.DEFAULT
+    assert model.size <= 12_000_000
+    assert (model.card.half, model.card.licence) == (True, "CC BY-NC 4.0")
+    assert {"kinema train", "kinema pack"} == {" ".join(command.split()[:2]) for command in model.card.commands}
+    assert {"val", "test"} == {one["split"] for one in model.card.figures}
+    assert not [value for value in str(model.card).split() if value.startswith("/")]  # no path of a machine
 
 
 def test_the_sdist_builds_the_same_and_carries_neither_tests_nor_results(built, tmp_path):
@@ -114,3 +127,11 @@ def test_an_installed_kinema_trains_scores_and_reports(installed, empty, micro, 
     installed("figures", "bad_masks")
     assert (empty / "reports" / "bad_masks" / "bad_masks.txt").exists()
     assert {p.name for p in empty.iterdir()} == {"reports", "runs"}
+
+
+@pytest.mark.slow
+def test_an_installed_kinema_makes_motion_far_from_any_corpus_or_network(installed, shipped, empty):
+    installed("generate", "a person waves with the left hand", "--out", "wave.html")
+    assert (empty / "wave.html").stat().st_size > 10_000
+    assert "mardm-sit-open-mocap" in installed("models").stdout
+    (empty / "wave.html").unlink()

@@ -206,9 +206,32 @@ def checkout(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("code", blocks("python"))
-def test_python_runs(code, checkout):
+def test_python_runs(code, checkout, request):
+    if "mardm-sit-open-mocap" in code:
+        request.getfixturevalue("shipped")
     for _ in range(2):
         exec(compile(code, "example", "exec"), {"__name__": "example"})
+
+
+USES = ("generate", "edit", "export", "gallery", "models", "info")
+"""Commands that a model and what commands before it wrote are enough for."""
+
+
+@pytest.mark.slow
+def test_the_readme_s_commands_run_with_the_model_of_the_package(shipped, tmp_path, monkeypatch):
+    """Run them in their order, in a folder with nothing in it, without corpus, runs or network."""
+    for name in ("KINEMA_SHARED", "KINEMA_RUNS", "KINEMA_STORES"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("socket.socket.connect", lambda *_: pytest.fail("the network was asked for"))
+    monkeypatch.chdir(tmp_path)
+    lines = [param.values[0] for param in commands() if param.id.startswith("README-")]
+    ours = [words[1:] for words in lines if words[0] == "kinema" and words[1] in USES]
+    used = [words for words in ours if not any(word.startswith("latest:") for word in words)]  # of a run of one's own
+    assert used[0] == ["generate", "a person waves with the left hand", "--out", "wave.html"]
+    for words in used:
+        assert cli.main(words) == 0, words
+        if "--out" in words:
+            assert list(tmp_path.glob(f"{Path(words[words.index('--out') + 1]).stem}*")), words
 
 
 def test_the_readme_has_both_kinds():

@@ -50,7 +50,10 @@ EXPERIMENTS = {
     "figures": ("kinema.experiments.figures:main", "draw a figure of the papers: bad_masks, code_usage RUN..."),
 }
 """Commands that read their own arguments (`kinema train --help`): mostly Hydra overrides."""
-RUN_HELP = "run folder of a generator, or of TextToMotion.save; latest:METHOD for the last that finished"
+RUN_HELP = (
+    "run folder of a generator, or of `kinema pack`; latest:METHOD for the last that finished; the name of a model of "
+    "this package (`kinema models`), or OWNER/NAME on the Hugging Face hub"
+)
 RANGE_HELP = (
     "START:END, several with commas; frames (20:60) or seconds (1s:3s), an empty end means the clip's; or a task, "
     "named by what stays: prefix keeps the first half, suffix the second half, inbetween both end quarters, outpaint "
@@ -175,7 +178,7 @@ def _parser() -> argparse.ArgumentParser:
     change.add_argument("--blend", type=float, metavar="SECONDS", help=BLEND_HELP)
     _add_export(add("export", "write a motion in another format", "exporting:export"))
     for one in (make, change):
-        one.add_argument("--run", required=True, help=RUN_HELP)
+        one.add_argument("--run", help=f"{RUN_HELP}; left out: the model of this package")
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
         one.add_argument("--out", required=True, help=OUT_HELP if one is make else f"file to write: {MOTIONS}")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
@@ -230,6 +233,7 @@ def _parser() -> argparse.ArgumentParser:
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
     _add_gallery(add("gallery", "show files of motion on one page, side by side and in step", "gallery:gallery"))
     _add_runs(add)
+    _add_models(add)
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
     return parser
@@ -245,6 +249,18 @@ def _add_runs(add: Callable[[str, str, str], argparse.ArgumentParser]) -> None:
     what = 'print what completes `kinema`: eval "$(kinema completion bash)"'
     shell = add("completion", what, "completion:completion")
     shell.add_argument("shell", choices=SHELLS)
+
+
+def _add_models(add: Callable[[str, str, str], argparse.ArgumentParser]) -> None:
+    """Add what makes models portable and lists them."""
+    made = add("pack", "write a run as one folder that works anywhere, with a model card", "models:pack")
+    made.add_argument("run", help="run folder of a generator, or latest:METHOD")
+    made.add_argument("--out", required=True, metavar="FOLDER", help="folder to write; its name is the model's")
+    made.add_argument("--half", action="store_true", help="weights in half precision: half the size")
+    made.add_argument("--licence", help="licence of the weights (default: the strictest of the corpus' sources)")
+    made.add_argument("--replace", action="store_true", help="in place of a model that is there")
+    listing = add("models", "list models: of this package, and of the hub's cache", "models:models")
+    listing.add_argument("name", nargs="?", help="say what one is, and which actions and styles it knows")
 
 
 def _add_convention(parser: argparse.ArgumentParser) -> None:

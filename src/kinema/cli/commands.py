@@ -31,6 +31,7 @@ from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
+from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import is_template
 from kinema.pipeline.requests import takes_of
 from kinema.report.index import write_site
@@ -177,7 +178,7 @@ def info(options: argparse.Namespace) -> None:
     if options.run is None:
         print(json.dumps({**versions(), "system": platform.platform(), "cuda": torch.version.cuda}, indent=2))
         return
-    path = find_run(options.run)
+    path = find_model(options.run)
     file = RunFolder(path).weights if path.is_dir() else path
     parts = Listed(RunFolder(path)).describe() if path.is_dir() else {}
     if file.exists() or not parts:
@@ -203,7 +204,7 @@ def _prompts(options: argparse.Namespace) -> list[Prompt]:
 
 def _model(options: argparse.Namespace) -> TextToMotion:
     parts = {} if options.length is None else {LENGTH: options.length}
-    return TextToMotion.from_run(options.run, options.device, **parts)
+    return TextToMotion.from_pretrained(options.run or DEFAULT, options.device, **parts)
 
 
 def _files(out: str, count: int) -> list[Path]:

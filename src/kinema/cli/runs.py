@@ -34,7 +34,7 @@ def runs(options: argparse.Namespace) -> None:
         corpus, scale = (str(at(one.config, key) or "") for key in ("data.name", "scale.name"))
         scores = _scores(by_run.get(one.folder.path.name, one) if one.kind == GENERATOR else one)
         rows.append((one.state, one.progress, one.name, corpus, scale, scores, _own(one, whole)))
-    print(printable(_aligned(rows)))
+    print(printable(aligned(rows)))
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -54,7 +54,7 @@ def compare(options: argparse.Namespace) -> None:
         rows.append((name, *(own[name].text(3) if name in own else "" for own in scores)))
     for letter, one in zip(rows[0][1:], found, strict=True):
         print(f"{letter} = {one.folder.path}")
-    print(printable(_aligned([row for row in rows if any(row[1:])])))
+    print(printable(aligned([row for row in rows if any(row[1:])])))
 
 
 def _scores(one: Listed) -> str:
@@ -80,6 +80,7 @@ def _short(value: object, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> str:
+    """Write rows with their columns under each other."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)

@@ -12,10 +12,10 @@ from kinema.motion import export
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import batches
 from kinema.pipeline.identity import fingerprint, sampling_of
+from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import folder_of, name_files
 from kinema.pipeline.requests import Take
 from kinema.runs.console import printable
-from kinema.runs.latest import find_run
 from kinema.runs.versions import versions
 from kinema.text import manifest
 from kinema.text.manifest import Entry
@@ -85,7 +85,7 @@ def check_made(asked: Sequence[Take], model: TextToMotion, changes: dict[str, An
 
 def _made_with(model: TextToMotion, options: argparse.Namespace) -> dict[str, Any]:
     return {
-        "run": find_run(options.run).name,
+        "run": find_model(options.run or DEFAULT).name if model.card is None else model.card.name,
         "model": fingerprint(model),
         "method": type(model.generator).__name__,
         "sampling": sampling_of(model, options.set),

@@ -54,7 +54,7 @@ def import_run(
     if module.spec.get("words") == "all" and text not in WHOLE:
         raise ValueError(f"words=all reads all 77 positions, --text {text} gives the text's own; use {WHOLE[0]}")
     with new_folder(out) as folder:
-        about = {"part": known.part, "kind": kind, "source": str(source)}
+        about: dict[str, Any] = {"part": known.part, "kind": kind, "source": str(source)}
         weights.save(module, module.spec, RunFolder(folder).weights, **about)
         link(folder, linked, place=Path(out))
         if known.part in READS_TEXT:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,9 @@ from torch import nn
 
 from kinema.atomic import new_folder
 from kinema.generators import Generator
+from kinema.pipeline.card import Card
 from kinema.pipeline.compatibility import check_representation
+from kinema.pipeline.repertoire import Repertoire
 from kinema.runs import weights
 from kinema.runs.consent import require_asked
 from kinema.runs.folder import RunFolder
@@ -79,25 +81,29 @@ def write_parts(
     parts: Mapping[str, nn.Module],
     text: dict[str, Any],
     meta: dict[str, Any],
+    about: Sequence[Card | Repertoire] = (),
     *,
+    half: bool = False,
     replace: bool = False,
 ) -> None:
-    """Write a generator with `meta` and its parts as one folder, whole or not at all.
+    """Write a generator with `meta`, its parts and what is known `about` it as one folder, whole or not at all.
 
     Raises ValueError if the folder exists; `replace`: if it holds no model.
     """
     with new_folder(path, replace=replace and RunFolder(path).weights.is_file()) as staging:
-        _write(generator, staging, GENERATOR, **meta)
+        _write(generator, staging, GENERATOR, half, **meta)
         for name, module in parts.items():
-            _write(module, staging / name, name)
+            _write(module, staging / name, name, half)
+        for one in about:
+            one.write(staging)
         link(staging, {name: staging / name for name in parts})
         write_text_encoder(staging, text["encoder"], text.get("path"), place=path)
         RunFolder(staging).mark("done")
 
 
-def _write(module: Any, folder: Path, part: str, **meta: Any) -> None:
+def _write(module: Any, folder: Path, part: str, half: bool, **meta: Any) -> None:
     if module.spec is None:
         raise ValueError(
             f"this {type(module).__name__} has no spec to save with; set module.spec to what it was built from"
         )
-    weights.save(module, module.spec, RunFolder(folder).weights, part=part, **meta)
+    weights.save(module, module.spec, RunFolder(folder).weights, half=half, part=part, **meta)

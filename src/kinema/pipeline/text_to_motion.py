@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any, cast
 
 import torch
@@ -13,7 +12,6 @@ from jaxtyping import Int
 from torch import Tensor, nn
 
 from kinema.devices import find_device
-from kinema.generators import Generator
 from kinema.generators.length import LengthEstimator
 from kinema.motion.body_parts import PARTS
 from kinema.motion.recovery import recover_joints
@@ -23,7 +21,6 @@ from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
 from kinema.pipeline.chaining import bridges, join
-from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.editing import (
     Ranges,
     edited_features,
@@ -34,44 +31,16 @@ from kinema.pipeline.editing import (
     stack_sources,
     widened,
 )
-from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.kept import encode_kept, encode_kept_features
-from kinema.runs.latest import find_run
-from kinema.runs.parts import LENGTH, TOKENIZER
+from kinema.pipeline.portable import Portable
+from kinema.runs.parts import LENGTH
 from kinema.seeds import request_seeds
-from kinema.text.frozen import FrozenTextEncoder, check_texts
-from kinema.tokenizers import MotionTokenizer
+from kinema.text.frozen import check_texts
 from kinema.types import Known, Latents, Motion, MotionBatch, TextFeatures
 
 
-class TextToMotion:
-    """Generate and edit motion from text.
-
-    `parts` stand beside the generator by their names: those that it names itself (`generator.parts`, e.g. a residual
-    transformer) and `length`, an estimator of lengths. `meta["text"]` = {"encoder": name, "path": ...} says how the
-    text encoder is made again; `save` needs it.
-    """
-
-    def __init__(
-        self,
-        tokenizer: MotionTokenizer,
-        generator: Generator,
-        text_encoder: FrozenTextEncoder,
-        parts: Mapping[str, nn.Module] | None = None,
-        meta: dict[str, Any] | None = None,
-    ) -> None:
-        check_pair(tokenizer, generator)
-        self.tokenizer = tokenizer
-        self.generator = generator
-        self.text_encoder = text_encoder
-        self.parts = dict(parts or {})
-        self.meta = dict(meta or {})
-        for name, part in self.parts.items():
-            if name != LENGTH:
-                generator.attach(name, part)
-        check_pair(tokenizer, generator)
-        if generator.lacks_empty_text:  # a published file does not hold it
-            generator.take_empty_text(text_encoder.empty())
+class TextToMotion(Portable):
+    """Generate and edit motion from text; `Portable` says what it holds and how it is read and written."""
 
     @property
     def skeleton(self) -> Skeleton:
@@ -166,7 +135,7 @@ class TextToMotion:
             for part in batches_by_length(counts, batch_size):
                 wanted = None if counts[part[0]] is None else torch.tensor([counts[i] for i in part])
                 prompts, drawn = [texts[i] for i in part], [seeds[i] for i in part]
-                batch = self.sample(self.text_encoder(prompts), wanted, seeds=torch.tensor(drawn), sampling=options)
+                batch = self.sample(self.encode(prompts), wanted, seeds=torch.tensor(drawn), sampling=options)
                 motions |= zip(part, self._motions(batch, prompts, drawn), strict=True)
         return [motions[i] for i in range(len(texts))]
 
@@ -197,7 +166,7 @@ class TextToMotion:
         if None in counts and any(counts):
             raise ValueError("parts of one motion need a length each, or none has one: give --frames or --seconds")
         with self._inference():
-            text, drawn = self.text_encoder(texts).to(self.device), torch.tensor(seeds)
+            text, drawn = self.encode(texts).to(self.device), torch.tensor(seeds)
             wanted = self._estimated(text, drawn) if None in counts else torch.tensor(counts)
             asked = None if wanted is None else space.whole(wanted).to(self.device)
             parts = self.generator.sample(text, asked, seeds=drawn, sampling=options)
@@ -251,7 +220,7 @@ class TextToMotion:
                 )
                 whole = MotionBatch(source, filled).to(self.device)
                 keep, known = self._known(whole, counts.to(self.device), ranges[part], parts)
-                text, drawn = self.text_encoder(texts[part]), torch.tensor(seeds[part])
+                text, drawn = self.encode(texts[part]), torch.tensor(seeds[part])
                 batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
                 batch = put_back(batch, whole.features, keep, self.skeleton, blend) if paste else batch
                 edited += self._motions(batch, texts[part], seeds[part], keep)
@@ -317,31 +286,3 @@ class TextToMotion:
             for module in self._modules():
                 stack.enter_context(inference(module))
             yield
-
-    @classmethod
-    def from_run(
-        cls, path: str | Path, device: torch.device | str | None = None, **parts: str | Path | None
-    ) -> TextToMotion:
-        """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
-
-        `path` may be `latest:mardm_sit`, the last run of that name that finished (`kinema.runs.latest.find_run`).
-        `parts` are run folders of what stands beside it (`length=`, `residual=`); without them those that
-        `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name the
-        part that is missing or unfit.
-        """
-        beside = {part: run and find_run(run) for part, run in parts.items()}
-        tokenizer, generator, encoder, loaded, meta = read_parts(find_run(path), find_device(device), beside)
-        return cls(tokenizer, generator, encoder, loaded, meta)
-
-    def save(self, path: str | Path, *, replace: bool = False) -> Path:
-        """Write the weights of all parts as one portable folder, whole or not at all; `from_run` loads it anywhere.
-
-        `replace`: in place of a model that was saved there before. Raises ValueError for any other folder that exists.
-        """
-        path = Path(path)
-        if "text" not in self.meta:
-            raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
-        own = {"text": self.text_encoder.identity, "representation": self.tokenizer.representation.identity()}
-        parts: dict[str, nn.Module] = {TOKENIZER: self.tokenizer, **self.parts}
-        write_parts(path, self.generator, parts, self.meta["text"], own, replace=replace)
-        return path

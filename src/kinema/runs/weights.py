@@ -25,12 +25,15 @@ HEADER = {"kinema": str, "spec": dict, "part": str | None}
 FIX = "write or download it again"
 
 
-def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any) -> Path:
+def save(module: nn.Module, spec: dict[str, Any], path: str | Path, *, half: bool = False, **meta: Any) -> Path:
     """Write the module's tensors, its spec and `meta` (plain containers), whole or not at all.
 
-    Raises ValueError for a spec that is not plain data, OSError (naming the path) if the disk refuses.
+    `half` writes parameters in half precision; buffers (statistics, codebooks) stay as they are, and `load` gives
+    single precision again. Raises ValueError for a spec that is not plain data or a weight that half can't hold,
+    OSError (naming the path) if the disk refuses.
     """
     path = Path(path)
+    state = _halved(module) if half else module.state_dict()
     try:
         header = json.dumps({"kinema": __version__, "spec": spec, **meta}, sort_keys=True)
     except TypeError as error:
@@ -39,7 +42,7 @@ def save(module: nn.Module, spec: dict[str, Any], path: str | Path, **meta: Any)
         ) from None
     try:
         with replacing(path, sync=True) as temporary:
-            save_file(_separate(module.state_dict()), temporary, metadata={"kinema": header})
+            save_file(_separate(state), temporary, metadata={"kinema": header})
     except (OSError, SafetensorError) as error:
         raise OSError(f"could not write {path}: {error}; free disk space or choose another folder") from error
     return path
@@ -87,6 +90,18 @@ def _meta(path: Path, header: dict[str, str]) -> dict[str, Any]:
             "load a published checkpoint with `kinema import KIND FILE --out RUN`"
         )
     return parse_json(header["kinema"], f"{path}: its header", HEADER, fix=FIX)
+
+
+def _halved(module: nn.Module) -> dict[str, Tensor]:
+    """Return the state with its parameters in half precision."""
+    state = dict(module.state_dict())
+    for name, parameter in module.named_parameters(remove_duplicate=False):
+        state[name] = parameter.detach().half()
+        if not state[name].isfinite().all():
+            raise ValueError(
+                f"half precision can't hold {name!r}, of up to {parameter.abs().max():.3g}; write it whole"
+            )
+    return state
 
 
 def _separate(state: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -86,7 +86,7 @@ def clip_folder(path: str | Path | None, repository: str, option: str) -> Path:
     """
     where = str(path or repository)
     folder = Path(where) if Path(where).is_dir() else None
-    if folder is None and _is_hub_id(where):
+    if folder is None and is_hub_id(where):
         folder = _from_hub(where)
     if folder is None or find_weights(folder) is None or not (folder / "config.json").is_file():
         raise FileNotFoundError(
@@ -96,7 +96,8 @@ def clip_folder(path: str | Path | None, repository: str, option: str) -> Path:
     return folder
 
 
-def _is_hub_id(name: str) -> bool:
+def is_hub_id(name: str) -> bool:
+    """Tell a repository of the hub, OWNER/NAME, from a path."""
     return name.count("/") == 1 and not name.startswith((".", "/", "~")) and not Path(name).exists()
 
 
