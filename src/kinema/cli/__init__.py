@@ -220,6 +220,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_convention(check)
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
+    _add_demo(add("demo", "open a page to try a model in the browser (extra: kinema[demo])", "showing:demo"))
     _add_runs(add)
     describe = add("info", "describe a run folder or a weights file, or what is installed")
     describe.add_argument("run", nargs="?", help="run folder or weights file; left out: versions and system")
@@ -263,6 +264,16 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     rigs.add_argument("--loop", action="store_true", help="let the last half second become the first pose")
     rigs.add_argument("--z-up", action="store_true", help="Z up, facing -Y (.bvh)")
     _add_convention(parser)
+
+
+def _add_demo(parser: argparse.ArgumentParser) -> None:
+    """Add where the page is served, and with what."""
+    parser.add_argument("--run", required=True, help=RUN_HELP)
+    parser.add_argument("--port", type=int, help="port of this machine; a free one from 7860 on if left out")
+    parser.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
+    parser.add_argument(
+        "--share", action="store_true", help="a public address too, for 72 hours, through gradio's servers"
+    )
 
 
 def _add_corpora(parser: argparse.ArgumentParser) -> None:
