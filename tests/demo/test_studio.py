@@ -115,10 +115,13 @@ def test_the_oldest_motions_go_and_numbers_stay(studio, takes):
         studio.find(takes, 1)
 
 
-@pytest.mark.parametrize("suffix", [s for s in FORMATS if s not in (".mp4", ".png")])
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_files_are_named_by_what_happens_in_them_and_leave_nothing(studio, takes, suffix, tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    name, content = studio.write(takes, 2, suffix)
+    try:
+        name, content = studio.write(takes, 2, suffix)
+    except ImportError as error:  # what an extra is for
+        pytest.skip(str(error))
     assert name == f"a-person-walks-2{suffix}"
     assert len(content) > 1000
     assert not list(tmp_path.iterdir())

@@ -22,6 +22,8 @@ HOUR = 3600
 ONE_BY_ONE: dict[str, Any] = {"concurrency_id": "model", "api_visibility": "private"}
 """How requests are answered: by one model, one at a time, and to this page alone."""
 
+QUIET: dict[str, Any] = {**ONE_BY_ONE, "show_progress": "minimal"}
+
 
 class Stage(NamedTuple):
     """Hold what shows a visitor's motions: `one` is what can be done with that which `which` chooses."""
@@ -51,11 +53,12 @@ def build(studio: Studio, title: str) -> gr.Blocks:
                     file = gr.HTML(None, visible="hidden", html_template=" ", js_on_load=None, render=False)
                     _exports(studio, stage, file, said)
         file.render()
+        how = {**ONE_BY_ONE, "show_progress_on": shown}
         makes = _answer(lambda *given: _show(_generate(studio, *given)), len(stage))
         edits = _answer(lambda *given: _show(_regenerate(studio, *given)), len(stage))
-        gr.on([go.click, asked[0].submit], makes, [stage.takes, *asked], [*stage, said], **ONE_BY_ONE)
-        gr.on([again.click, change[0].submit], edits, [stage.takes, which, line, *change], [*stage, said], **ONE_BY_ONE)
-        which.input(lambda takes, number: span(studio.find(takes, number)), [stage.takes, which], line, **ONE_BY_ONE)
+        gr.on([go.click, asked[0].submit], makes, [stage.takes, *asked], [*stage, said], **how)
+        gr.on([again.click, change[0].submit], edits, [stage.takes, which, line, *change], [*stage, said], **how)
+        which.input(lambda takes, number: span(studio.find(takes, number)), [stage.takes, which], line, **QUIET)
     return blocks.queue(max_size=WAITING, default_concurrency_limit=1, api_open=False)
 
 
@@ -92,9 +95,10 @@ def _exports(studio: Studio, stage: Stage, file: gr.HTML, said: gr.HTML) -> None
     """Add a button per format; the file goes to the browser within the answer, and stays nowhere."""
     with gr.Row(elem_classes="demo-formats"):
         for suffix in FORMATS:
-            button = gr.Button(f"Save {suffix}", size="sm", min_width=90, elem_id=f"demo-save-{suffix[1:]}")
+            button = gr.Button(f"Save {suffix}", size="sm", min_width=90, elem_id=f"demo-save{suffix.replace('.', '-')}")
             writes = _answer(lambda takes, number, s=suffix: (_encoded(*studio.write(takes, number, s)),), 1)
-            written = button.click(writes, [stage.takes, stage.which], [file, said], **ONE_BY_ONE)
+            how = {**QUIET, "show_progress_on": stage.which}
+            written = button.click(writes, [stage.takes, stage.which], [file, said], **how)
             written.then(None, file, None, js=asset("download.js"))
 
 
