@@ -95,7 +95,8 @@ def _exports(studio: Studio, stage: Stage, file: gr.HTML, said: gr.HTML) -> None
     """Add a button per format; the file goes to the browser within the answer, and stays nowhere."""
     with gr.Row(elem_classes="demo-formats"):
         for suffix in FORMATS:
-            button = gr.Button(f"Save {suffix}", size="sm", min_width=90, elem_id=f"demo-save{suffix.replace('.', '-')}")
+            name = f"demo-save{suffix.replace('.', '-')}"
+            button = gr.Button(f"Save {suffix}", size="sm", min_width=90, elem_id=name)
             writes = _answer(lambda takes, number, s=suffix: (_encoded(*studio.write(takes, number, s)),), 1)
             how = {**QUIET, "show_progress_on": stage.which}
             written = button.click(writes, [stage.takes, stage.which], [file, said], **how)
