@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import re
+import warnings
 from html import unescape
 
 import pytest
@@ -41,7 +42,7 @@ def test_texts_are_text(model):
     inside = unescape(html)
     assert "<img" not in inside
     assert "&lt;img src=x" in inside
-    assert error_line("<b>\n no") == "<p role='alert' class='demo-error'>&lt;b&gt; no</p>"
+    assert error_line("<b>\n no") == "<p role='alert' class='demo-said demo-error'>&lt;b&gt; no</p>"
 
 
 def test_an_error_is_one_line_and_leaves_the_rest():
@@ -55,6 +56,19 @@ def test_an_error_is_one_line_and_leaves_the_rest():
     *given, silent = _answer(lambda: (1, 2), 2)()
     assert given == [1, 2]
     assert not silent["visible"]
+
+
+def test_what_the_library_warns_of_is_told():
+    def warn():
+        for message in ("far <from> all", "far <from> all", "cut"):
+            warnings.warn(message, stacklevel=1)
+        warnings.warn("old", DeprecationWarning, stacklevel=1)
+        return (1,)
+
+    _, said = _answer(warn, 1)()
+    lines = ("far &lt;from&gt; all", "cut")
+    assert said["value"] == "".join(f"<p role='status' class='demo-said'>{line}</p>" for line in lines)
+    assert said["visible"]
 
 
 @pytest.mark.parametrize(

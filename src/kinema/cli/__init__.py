@@ -271,9 +271,7 @@ def _add_demo(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--run", required=True, help=RUN_HELP)
     parser.add_argument("--port", type=int, help="port of this machine; a free one from 7860 on if left out")
     parser.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
-    parser.add_argument(
-        "--share", action="store_true", help="a public address too, for 72 hours, through gradio's servers"
-    )
+    parser.add_argument("--share", action="store_true", help="a public address too, through gradio's servers")
 
 
 def _add_corpora(parser: argparse.ArgumentParser) -> None:

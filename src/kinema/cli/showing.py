@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Interval
@@ -10,7 +11,6 @@ from annotated_types import Interval
 from kinema.demo import serve
 from kinema.options import check_value
 from kinema.pipeline import TextToMotion
-from kinema.runs.latest import find_run
 
 Port = Annotated[int, Interval(ge=1, le=65535)]
 
@@ -20,4 +20,4 @@ def demo(options: argparse.Namespace) -> None:
     if options.port is not None:
         check_value(options.port, Port, "--port")
     model = TextToMotion.from_run(options.run, options.device)
-    serve(model, find_run(options.run).name.split("-")[0], host="127.0.0.1", port=options.port, share=options.share)
+    serve(model, Path(options.run).name, host="127.0.0.1", port=options.port, share=options.share)

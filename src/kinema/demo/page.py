@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import warnings
 from collections.abc import Callable
 from functools import wraps
 from html import escape
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 import gradio as gr
 
 from kinema.demo.studio import COUNT, LETTERS, Studio, Take, read_seed
-from kinema.demo.views import EMPTY, asset, error_line, players, span, timeline
+from kinema.demo.views import EMPTY, asset, error_line, notes, players, span, timeline
 from kinema.motion.body_parts import PARTS
 from kinema.motion.export import FORMATS
 
@@ -128,13 +129,17 @@ def _encoded(name: str, content: bytes) -> list[str]:
 
 
 def _answer(action: Callable[..., tuple[Any, ...]], outputs: int) -> Callable[..., tuple[Any, ...]]:
-    """Give what an action returns, and no message; or nothing new, and one line that says why."""
+    """Give what an action returns, and what it warns of; or nothing new, and one line that says why."""
 
     @wraps(action)
     def answer(*given: Any) -> tuple[Any, ...]:
         try:
-            return (*action(*given), gr.update(value="", visible=False))
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always", UserWarning)
+                made = action(*given)
         except (ValueError, OSError, ImportError) as error:
             return (*[gr.skip()] * outputs, gr.update(value=error_line(error), visible=True))
+        said = notes([one.message for one in told if issubclass(one.category, UserWarning)])
+        return (*made, gr.update(value=said, visible=bool(said)))
 
     return answer

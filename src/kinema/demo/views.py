@@ -65,7 +65,13 @@ def theme() -> gr.themes.Base:
 
 def error_line(message: object) -> str:
     """Return one line that says what is wrong."""
-    return f"<p role='alert' class='demo-error'>{escape(' '.join(str(message).split()))}</p>"
+    return f"<p role='alert' class='demo-said demo-error'>{escape(' '.join(str(message).split()))}</p>"
+
+
+def notes(messages: Sequence[object]) -> str:
+    """Return a line for each thing that a visitor should know."""
+    lines = dict.fromkeys(" ".join(str(message).split()) for message in messages)
+    return "".join(f"<p role='status' class='demo-said'>{escape(line)}</p>" for line in lines)
 
 
 def asset(name: str) -> str:
