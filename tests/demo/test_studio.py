@@ -120,7 +120,9 @@ def test_files_are_named_by_what_happens_in_them_and_leave_nothing(studio, takes
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     try:
         name, content = studio.write(takes, 2, suffix)
-    except ImportError as error:  # what an extra is for
+    except (ImportError, ValueError) as error:
+        if "pip install 'kinema[" not in str(error):  # what an extra is for
+            raise
         pytest.skip(str(error))
     assert name == f"a-person-walks-2{suffix}"
     assert len(content) > 1000
