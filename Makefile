@@ -14,6 +14,7 @@ KINEMA := $(VENV)/bin/kinema
 PIP    := $(PY) -m pip install --quiet --disable-pip-version-check
 STAMP  := $(VENV)/.installed
 DOCS   := $(VENV)/.docs
+GRADIO := $(VENV)/demo
 TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
 PAGES  := $(patsubst conf/page/%.yaml,%,$(wildcard conf/page/*.yaml))
 # The tables that have a panel of KIT-ML, and the corpus that it is of beside DATA.
@@ -24,7 +25,7 @@ KIT    := $(KIT_OF_$(DATA))
 # Pages say themselves how often they train; a plan runs nothing.
 FLAGS   = $(if $(filter $*,$(TABLES)),$(if $(SEEDS),--seeds $(SEEDS))) $(if $(PLAN),--plan)
 
-.PHONY: help install test lint docs bench demo doctor readers site reproduce-all reproduce-bad-figure2 clean-reports
+.PHONY: help install test test-demo lint docs bench demo doctor readers site reproduce-all reproduce-bad-figure2 clean-reports
 
 # `target: needs  ## what it does` is what is listed; tables and pages are listed by their titles.
 help:  ## list the targets
@@ -48,8 +49,17 @@ $(DOCS): $(STAMP) requirements-docs.lock
 	$(PIP) -r requirements-docs.lock
 	touch $@
 
+# Beside the environment, not in it: gradio is large, and holds other packages back (pillow).
+$(GRADIO)/.installed: $(STAMP) requirements-demo.lock
+	rm -rf $(GRADIO)
+	$(PIP) --no-deps --target $(GRADIO) -r requirements-demo.lock
+	touch $@
+
 test: $(STAMP)  ## run the tests, on all cores (ARGS="-k word", ARGS="-m 'not slow'", ARGS="-n 0")
 	OMP_NUM_THREADS=1 $(PY) -m pytest -n auto --dist loadfile $(ARGS)
+
+test-demo: $(GRADIO)/.installed  ## run the tests of `kinema demo`, with gradio (ARGS as above)
+	PYTHONPATH=$(GRADIO) OMP_NUM_THREADS=1 $(PY) -m pytest -n 0 tests/demo $(ARGS)
 
 readers:  ## fetch three.js and gltf-validator, pinned, which tests/readback reads exports with (npm)
 	npm --prefix tests/readback install --ignore-scripts --no-audit --no-fund --no-package-lock
@@ -86,12 +96,8 @@ reproduce-all: $(TABLES:%=reproduce-%) $(PAGES:%=reproduce-%) reproduce-bad-figu
 site: $(STAMP)  ## write reports/index.html, a site over all that lies under reports/
 	$(KINEMA) site
 
-# Asked again, training names its run: `latest:` could be one of another corpus or of other overrides.
-DEMO = train stage=generator method=mardm_sit data=$(DATA) scale=$(SCALE) $(ARGS)
-demo: $(STAMP)  ## generate a motion from a sentence, with MARDM-SiT on DATA at SCALE (trained first if need be)
-	$(KINEMA) $(DEMO)
-	$(KINEMA) generate "a person waves with the left hand" --seconds 4 --out reports/demo.html \
-	  --run "$$($(KINEMA) $(DEMO) | sed -n 's/^cached *//p')"
+demo: $(GRADIO)/.installed  ## open a page to try the package's model in the browser (ARGS="--run RUN": another)
+	PYTHONPATH=$(GRADIO) $(KINEMA) demo $(ARGS)
 
 clean-reports:  ## delete reports/ (runs, stores and cache are kept)
 	rm -rf reports

@@ -25,7 +25,7 @@ CHECKER = (
     "__import__('typing').Self: object})))"
 )
 CHECKED = ("types", "atomic", "files", "locks", "seeds", "signals", "devices", "registry", "masking", "nn", "motion")
-CHECKED += ("data", "diffusion", "decoding", "runs", "pipeline", "evaluation", "report", "experiments", "cli")
+CHECKED += ("data", "diffusion", "decoding", "runs", "pipeline", "evaluation", "report", "experiments", "cli", "demo")
 CHECKED += ("generators", "tokenizers", "interop")
 CHECKED += tuple(
     f"training.{name}"

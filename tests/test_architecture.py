@@ -57,11 +57,12 @@ MAY_IMPORT = {
     "report": {"types", "atomic", "files", "motion"},
 }
 MAY_IMPORT["pipeline"] = {*MODEL, "text", "tokenizers", "generators", "runs"}
+MAY_IMPORT["demo"] = {*MAY_IMPORT["pipeline"], "pipeline"}
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT["pipeline"], "pipeline", "data"}
 MAY_IMPORT["interop"] = {*MAY_IMPORT["evaluation"], "evaluation"}
 MAY_IMPORT["training"] = {*MAY_IMPORT["evaluation"], "evaluation"}
 MAY_IMPORT["experiments"] = {*MAY_IMPORT["training"], "training", "report"}
-MAY_IMPORT["cli"] = {*MAY_IMPORT["experiments"], "experiments", "interop"}
+MAY_IMPORT["cli"] = {*MAY_IMPORT["experiments"], "experiments", "interop", "demo"}
 
 
 def imports(file: Path) -> set[str]:

@@ -18,6 +18,8 @@ from kinema.experiments.config import CONF
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
+BESIDE = ("docs", "demo")
+"""Extras with a lock file of their own, which adds to the other."""
 
 
 def locked(name: str) -> dict[str, str]:
@@ -40,14 +42,15 @@ def test_make_help_lists_every_target_table_and_page_with_a_line():
 
 @pytest.mark.parametrize("extra", ["", *(name for name in EXTRAS if name not in ("tag", "fbx"))])
 def test_locks_pin_what_is_declared(extra):
-    pins = locked("requirements.lock") | (locked("requirements-docs.lock") if extra == "docs" else {})
+    pins = locked("requirements.lock") | (locked(f"requirements-{extra}.lock") if extra in BESIDE else {})
     for text in EXTRAS[extra] if extra else PROJECT["dependencies"]:
         declared = Requirement(text)
         assert declared.specifier.contains(pins[canonicalize_name(declared.name)]), text
 
 
-def test_the_site_adds_to_the_lock_and_changes_nothing():
-    assert not locked("requirements-docs.lock").keys() & locked("requirements.lock").keys()
+@pytest.mark.parametrize("extra", BESIDE)
+def test_the_other_locks_add_to_the_lock_and_change_nothing(extra):
+    assert not locked(f"requirements-{extra}.lock").keys() & locked("requirements.lock").keys()
 
 
 def test_hooks_run_the_locked_linter():

@@ -87,13 +87,17 @@ class Browser:
         return found
 
     def open(self, path: Path, *, width: int = 1200, dark: bool = False) -> None:
-        """Open a page and wait until it is loaded."""
+        """Open a page of this disk and wait until it is loaded."""
+        self.visit(path.resolve().as_uri(), width=width, dark=dark)
+
+    def visit(self, url: str, *, width: int = 1200, dark: bool = False) -> None:
+        """Open what is at an address and wait until it is loaded."""
         self.complaints, self.asked = [], []
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=False)
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self.call("Emulation.setEmulatedMedia", features=[scheme])
-        self.call("Page.navigate", url=path.resolve().as_uri())
-        self.until("document.readyState === 'complete' && location.protocol === 'file:'")
+        self.call("Page.navigate", url=url)
+        self.until(f"document.readyState === 'complete' && location.protocol === '{url.partition(':')[0]}:'")
 
     def js(self, expression: str) -> Any:
         """Return what an expression is worth on the page; promises are awaited."""

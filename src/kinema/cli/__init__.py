@@ -232,6 +232,7 @@ def _parser() -> argparse.ArgumentParser:
     site = add("site", "write the site over all reports of a folder: index.html, gallery.html")
     site.add_argument("reports", nargs="?", default="reports", help="folder of the reports (default: reports)")
     _add_gallery(add("gallery", "show files of motion on one page, side by side and in step", "gallery:gallery"))
+    _add_demo(add("demo", "open a page to try a model in the browser (extra: kinema[demo])", "showing:demo"))
     _add_runs(add)
     _add_models(add)
     describe = add("info", "describe a run folder or a weights file, or what is installed")
@@ -298,6 +299,14 @@ def _add_gallery(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="PAGE", help="page (.html) to write; it needs no other file")
     parser.add_argument("--title", help="heading of the page")
     _add_convention(parser)
+
+
+def _add_demo(parser: argparse.ArgumentParser) -> None:
+    """Add where the page is served, and with what."""
+    parser.add_argument("--run", help=f"{RUN_HELP}; left out: the model of this package")
+    parser.add_argument("--port", type=int, help="port of this machine; a free one from 7860 on if left out")
+    parser.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
+    parser.add_argument("--share", action="store_true", help="a public address too, through gradio's servers")
 
 
 def _add_corpora(parser: argparse.ArgumentParser) -> None:
