@@ -99,6 +99,9 @@ def test_generate_edit_and_look(run, capsys):
     assert "wrote walk.npz (40 frames, seed 3)" in capsys.readouterr().out
     walk = load_npz("walk.npz")
     assert walk.features.shape == (40, 67)
+    assert cli.main([*make, "--frames", "40", "--lock-feet", "--out", "held.npz"]) == 0
+    assert "feet      skating" in capsys.readouterr().out
+    assert np.array_equal(load_npz("held.npz").features[:, :4], walk.features[:, :4])
     assert cli.main([*make, "--frames", "40", "--out", "walk.html"]) == 0
     assert "a person walks" in Path("walk.html").read_text()
     make.insert(2, "someone sits")

@@ -62,6 +62,7 @@ KEEP_HELP = (
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
+FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
 PROMPTS_HELP = (
     "file of prompts, one a line, in place of TEXT; `a person walks#120` says how many frames it has, others take "
     "--seconds or --frames, or an estimate"
@@ -171,6 +172,7 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
         one.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
+        one.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
     _add_convention(change)
@@ -255,7 +257,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     """Add what a motion may be changed by on its way out."""
     parser.add_argument("motion", help="a file of motion: .npz of generate, .npy of joints, .bvh, .amc")
     parser.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
-    parser.add_argument("--lock-feet", action="store_true", help="hold feet that stand; legs bend, nothing else moves")
+    parser.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
     rigs = parser.add_argument_group("changes of .bvh, .glb and .vrma", "formats that hold rotations")
     rigs.add_argument("--rate", type=float, metavar="FPS", help="frames per second to write (turns are interpolated)")
     rigs.add_argument("--in-place", action="store_true", help="stay over one spot")

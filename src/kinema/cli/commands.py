@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from kinema.cli.convention import told
+from kinema.cli.exporting import stand
 from kinema.data import doctor as examine
 from kinema.data.captures import SUFFIXES
 from kinema.data.prepare import check_reader, read_corpus, takes
@@ -52,9 +53,10 @@ def generate(options: argparse.Namespace) -> None:
     lengths = _lengths(options, prompts, model.skeleton.fps)
     model.changed_sampling(options.set)  # before its names can stand for other arguments
     if options.chain:
-        _write([model.chain(texts, **lengths, seed=options.seed, **options.set)], files)
-        return
-    _write(model.generate(texts, **lengths, seed=options.seed, **options.set), files)
+        made = [model.chain(texts, **lengths, seed=options.seed, **options.set)]
+    else:
+        made = model.generate(texts, **lengths, seed=options.seed, **options.set)
+    _write(stand(made) if options.lock_feet else made, files)
 
 
 def edit(options: argparse.Namespace) -> None:
@@ -82,6 +84,7 @@ def edit(options: argparse.Namespace) -> None:
         **({} if options.blend is None else {"blend": options.blend}),
         **options.set,
     )
+    made = stand(made) if options.lock_feet else made
     _write(made, files)
     if (kept := made[0].kept) is not None:
         print(_stayed(made[0], kept, model.skeleton))
