@@ -183,6 +183,11 @@ def test_keyframes_are_widened_to_latents_and_said(run, capsys):
     change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), *FAST]
     assert cli.main([*change, "--keep", "0:1,39:40", "--out", "edited.npz"]) == 0
     assert "kept frames 0:4, 36:40" in capsys.readouterr().out
+    assert cli.main([*change, "--hold", "0,-1", "--out", "edited.npz"]) == 0
+    told = capsys.readouterr().out
+    assert "held      frames 0, 39, whole latents of 4 frames: within 0.0 cm of where they were" in told
+    assert "kept frames 0:4, 36:40" in told
+    fails(capsys, [*change, "--hold", "0", "--raw", "--out", "edited.npz"], "leave --raw out")
 
 
 @pytest.mark.parametrize("width", [67, 100, 263])

@@ -61,6 +61,10 @@ KEEP_HELP = (
     f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
+HOLD_HELP = (
+    "keyframes, 0,40,-1 or 0s,2s: they come back where they are, everything else becomes new; a frame's whole latent "
+    "(often 4 frames) is held, and the root is led from one to the next"
+)
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
 PROMPTS_HELP = (
@@ -163,6 +167,7 @@ def _parser() -> argparse.ArgumentParser:
     which = change.add_mutually_exclusive_group()
     which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
     which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
+    which.add_argument("--hold", metavar="FRAMES", help=HOLD_HELP)
     change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     change.add_argument("--blend", type=float, metavar="SECONDS", help=BLEND_HELP)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from kinema.cli.control import hold_frames
 from kinema.cli.convention import told
 from kinema.cli.exporting import stand
 from kinema.data import doctor as examine
@@ -63,18 +64,29 @@ def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
     files = _files(options.out, 1)
     given = options.keep if options.regenerate is None else options.regenerate
-    if given is None and options.parts is None:
-        raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
+    if given is None and options.parts is None and options.hold is None:
+        raise ValueError(
+            "nothing to regenerate: give --regenerate RANGES, --keep RANGES, --hold FRAMES or --parts upper|lower"
+        )
     model = _model(options)
     model.changed_sampling(options.set)
     recording = read_recording(options.motion, told(options))
     motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
     print(f"read {recording.path}: {recording.note}")
+    made = [hold_frames(model, motion, options)] if options.hold is not None else _edited(model, motion, given, options)
+    made = stand(made) if options.lock_feet else made
+    _write(made, files)
+    if (kept := made[0].kept) is not None:
+        print(_stayed(made[0], kept, model.skeleton))
+
+
+def _edited(model: TextToMotion, motion: Motion, given: str | None, options: argparse.Namespace) -> list[Motion]:
+    """Regenerate ranges of frames, a part of the body, or both."""
     frames = None
     if given is not None:
         size = len(motion.features)
         frames = [parse_ranges(given, size, model.skeleton.fps, kept=options.keep is not None)]
-    made = model.edit(
+    return model.edit(
         motion,
         options.text,
         frames,
@@ -84,10 +96,6 @@ def edit(options: argparse.Namespace) -> None:
         **({} if options.blend is None else {"blend": options.blend}),
         **options.set,
     )
-    made = stand(made) if options.lock_feet else made
-    _write(made, files)
-    if (kept := made[0].kept) is not None:
-        print(_stayed(made[0], kept, model.skeleton))
 
 
 def import_checkpoint(options: argparse.Namespace) -> None:
