@@ -40,7 +40,7 @@ KINDS = (
     "clip-evaluator",
 )
 SHELLS = ("bash", "zsh")
-PARTS = ("upper", "lower")
+PARTS = ("upper", "lower", "body")
 MOTIONS = ".html .mp4 .npz .npy .png .bvh .glb .vrma"
 FORMATS = ("joints", "humanml3d", "kit", "synthetic", "bvh", "amc", "amass")
 EXPERIMENTS = {
@@ -65,6 +65,10 @@ HOLD_HELP = (
     "keyframes, 0,40,-1 or 0s,2s: they come back where they are, everything else becomes new; a frame's whole latent "
     "(often 4 frames) is held, and the root is led from one to the next"
 )
+PATH_HELP = (
+    "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds), .npy or "
+    ".npz; rows without times are one a frame"
+)
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
 PROMPTS_HELP = (
@@ -73,7 +77,8 @@ PROMPTS_HELP = (
 )
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
-    "legs and foot contacts (methods that generate frames: mdm, motiondiffuse, ...)"
+    "legs and foot contacts; body: everything but the root's way over the floor (methods that generate frames: mdm, "
+    "motiondiffuse, ...)"
 )
 
 
@@ -159,6 +164,7 @@ def _parser() -> argparse.ArgumentParser:
     make.add_argument("--frames", type=int, help="length in frames")
     make.add_argument("--count", type=int, default=1, metavar="N", help="so many motions of each text")
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
+    make.add_argument("--path", metavar="FILE", help=PATH_HELP)
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument(
         "--motion", required=True, help=".npz that generate wrote; joints (T, J, 3) or features as .npy"

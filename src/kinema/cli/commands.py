@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from kinema.cli.control import hold_frames
+from kinema.cli.control import follow_path, hold_frames
 from kinema.cli.convention import told
 from kinema.cli.exporting import stand
 from kinema.data import doctor as examine
@@ -53,7 +53,9 @@ def generate(options: argparse.Namespace) -> None:
     model = _model(options)
     lengths = _lengths(options, prompts, model.skeleton.fps)
     model.changed_sampling(options.set)  # before its names can stand for other arguments
-    if options.chain:
+    if options.path is not None:
+        made = follow_path(model, prompts, options)
+    elif options.chain:
         made = [model.chain(texts, **lengths, seed=options.seed, **options.set)]
     else:
         made = model.generate(texts, **lengths, seed=options.seed, **options.set)

@@ -1,12 +1,16 @@
-"""Do what `kinema edit --hold` asks, and say how near it came."""
+"""Do what `kinema edit --hold` and `kinema generate --path` ask, and say how near it came."""
 
 from __future__ import annotations
 
 import argparse
 
+from kinema.motion.waypoints import read_waypoints
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.editing import parse_frames
+from kinema.pipeline.following import follow
 from kinema.pipeline.holding import hold
+from kinema.text.prompts import Prompt
 from kinema.types import Motion
 
 
@@ -25,3 +29,24 @@ def hold_frames(model: TextToMotion, motion: Motion, options: argparse.Namespace
         f"the root was led by {100 * made.led:.0f} cm and {made.turned:.0f} degrees at most"
     )
     return made.motion
+
+
+def follow_path(model: TextToMotion, prompts: list[Prompt], options: argparse.Namespace) -> list[Motion]:
+    """Generate motion along the way of a file, and say how far from it the roots are."""
+    if options.chain or any(prompt.frames is not None for prompt in prompts):
+        raise ValueError(
+            "--path says itself how long a motion is (or --seconds does): leave --chain and TEXT#FRAMES out"
+        )
+    way, fps = read_waypoints(options.path, model.skeleton.fps), model.skeleton.fps
+    (count,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
+    if count is None and way.frames(fps) > model.max_frames:
+        raise ValueError(
+            f"{options.path} takes {way.seconds:.1f} s, the longest motion is {model.max_frames / fps:.1f} s; give "
+            "--seconds to go it faster, or a shorter path"
+        )
+    made = follow(model, [prompt.text for prompt in prompts], way, count, seed=options.seed, **options.set)
+    how = "known to the network" if made.strides is None else f"strides x {', '.join(f'{s:.2f}' for s in made.strides)}"
+    print(
+        f"path      {way.length:.1f} m: the root is {100 * made.away:.1f} cm from it on average, frame by frame; {how}"
+    )
+    return made.motions

@@ -45,14 +45,15 @@ def hold(model: TextToMotion, source: Motion, text: str, frames: Sequence[int], 
     skeleton, kept = get_skeleton(source.skeleton), made.kept
     assert kept is not None
     goal = source.features[:, : made.features.shape[1]]
-    own, way = Trajectory.of(made.features), pinned(made.features, goal, kept)
+    way = pinned(made.features, goal, kept)
     rows = np.where(kept[:, None], made.features, way.steer(made.features, skeleton))
+    before, after = Trajectory.of(made.features), Trajectory.of(rows)
     stood = recover_joints(torch.from_numpy(source.features), skeleton).numpy()
     joints = Placement.between(stood, source.joints, skeleton).apply(way.joints(rows, skeleton))
     meters = skeleton.meters
     return HeldEdit(
         replace(made, features=rows, joints=joints),
-        led=meters * float(np.linalg.norm(way.place - own.place, axis=-1).max()),
-        turned=float(np.degrees(np.abs(way.yaw - own.yaw).max())),
+        led=meters * float(np.linalg.norm(after.place - before.place, axis=-1).max()),
+        turned=float(np.degrees(np.abs(after.yaw - before.yaw).max())),
         away=meters * float(np.linalg.norm(joints[kept] - source.joints[kept], axis=-1).max()),
     )
