@@ -107,6 +107,9 @@ def test_generate_edit_and_look(run, capsys):
     make.insert(2, "someone sits")
     assert cli.main([*make, "--chain", "--frames", "40", "--out", "long.npz"]) == 0
     assert len(load_npz("long.npz").features) == 40 + 2 * 4 + 40
+    told = capsys.readouterr().out
+    assert "seam      2.0 s (frames 40:48): largest step " in told
+    assert "elsewhere largest step " in told
     change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), "--seed", "4", *FAST]
     for which in (["--regenerate", "0.5s:1s"], ["--keep", ":10,20:"]):
         assert cli.main([*change, *which, "--out", "edited.npz"]) == 0
@@ -127,6 +130,17 @@ def test_generate_edit_and_look(run, capsys):
     assert described["artifact"]["kinema"] == __version__
     assert described["text"]["encoder"] == "hashed"
     assert described["upstream"] == {"tokenizer": "../ae"}
+
+
+def test_one_text_is_chained_to_itself_beyond_the_longest_motion(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--seconds", "15", *FAST]
+    fails(capsys, [*make, "--out", "long.npz"], "longer ones are made of parts (--chain")
+    assert cli.main([*make, "--chain", "--out", "long.npz"]) == 0
+    assert "parts     2 of 148, 144 frames" in capsys.readouterr().out
+    long = load_npz("long.npz")
+    assert len(long.features) == 300
+    assert np.flatnonzero(~long.kept).tolist() == list(range(148, 156))
+    assert long.text == "a person walks"
 
 
 def test_several_texts_give_several_files_or_one_page(run):

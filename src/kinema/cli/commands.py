@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from kinema.cli.control import follow_path, hold_frames
+from kinema.cli.control import chained, follow_path, hold_frames, tell_seams
 from kinema.cli.convention import told
 from kinema.cli.exporting import stand
 from kinema.data import doctor as examine
@@ -56,10 +56,13 @@ def generate(options: argparse.Namespace) -> None:
     if options.path is not None:
         made = follow_path(model, prompts, options)
     elif options.chain:
-        made = [model.chain(texts, **lengths, seed=options.seed, **options.set)]
+        made = [chained(model, texts, lengths, options)]
     else:
         made = model.generate(texts, **lengths, seed=options.seed, **options.set)
-    _write(stand(made) if options.lock_feet else made, files)
+    made = stand(made) if options.lock_feet else made
+    _write(made, files)
+    if options.chain:
+        tell_seams(made[0], model.skeleton)
 
 
 def edit(options: argparse.Namespace) -> None:

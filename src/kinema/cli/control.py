@@ -1,17 +1,25 @@
-"""Do what `kinema edit --hold` and `kinema generate --path` ask, and say how near it came."""
+"""Do what `kinema edit --hold`, `kinema generate --path` and `--chain` ask, and say how near it came."""
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
+from typing import Any
 
+from kinema.motion.seams import Stretch, seams
+from kinema.motion.skeleton import Skeleton
 from kinema.motion.waypoints import read_waypoints
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import frame_counts
+from kinema.pipeline.chaining import TRANSITION, shared_out
 from kinema.pipeline.editing import parse_frames
 from kinema.pipeline.following import follow
 from kinema.pipeline.holding import hold
 from kinema.text.prompts import Prompt
 from kinema.types import Motion
+
+LONGEST = 20000
+"""Frames that a chained motion may have."""
 
 
 def hold_frames(model: TextToMotion, motion: Motion, options: argparse.Namespace) -> Motion:
@@ -50,3 +58,33 @@ def follow_path(model: TextToMotion, prompts: list[Prompt], options: argparse.Na
         f"path      {way.length:.1f} m: the root is {100 * made.away:.1f} cm from it on average, frame by frame; {how}"
     )
     return made.motions
+
+
+def chained(model: TextToMotion, texts: list[str], lengths: dict[str, Any], options: argparse.Namespace) -> Motion:
+    """Join texts to one motion; one that is to be longer than the model's longest motion is shared out to parts."""
+    asked = [lengths.get(name) for name in ("frames", "seconds")]
+    counts = frame_counts(*asked, len(texts), fps=model.skeleton.fps, maximum=LONGEST)
+    parts: list[tuple[str, int | None]] = []
+    for text, count in zip(texts, counts, strict=True):
+        space, most = model.generator.space, model.max_frames
+        shares = [None] if count is None else shared_out(count, space, TRANSITION, space.latents_of(most))
+        parts += [(text, share) for share in shares]
+    if len(parts) > len(texts):
+        print(f"parts     {len(parts)} of {', '.join(str(share) for _, share in parts)} frames")
+    said, sizes = [text for text, _ in parts], [share for _, share in parts]
+    made = model.chain(said, sizes, transition=TRANSITION, seed=options.seed, **options.set)
+    return replace(made, text="; ".join(texts))
+
+
+def tell_seams(motion: Motion, skeleton: Skeleton) -> None:
+    """Say of each generated transition how it differs from the rest of the motion."""
+    if motion.kept is None:
+        return
+    found, rest = seams(motion.joints, motion.kept, skeleton, motion.fps)
+
+    def said(one: Stretch) -> str:
+        return f"largest step {100 * one.step:.0f} cm, peak jerk {one.jerk:.0f} m/s3, skating {one.skating:.0%}"
+
+    for seam in found:
+        print(f"seam      {seam.start / motion.fps:.1f} s (frames {seam.start}:{seam.end}): {said(seam)}")
+    print(f"elsewhere {said(rest)}")

@@ -22,13 +22,14 @@ from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
-from kinema.pipeline.chaining import bridges, join
+from kinema.pipeline.chaining import TRANSITION, bridges, join
 from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.editing import (
     Ranges,
     edited_features,
     edited_frames,
     in_place,
+    kept_frames,
     kept_latents,
     resolve_ranges,
     stack_sources,
@@ -176,7 +177,7 @@ class TextToMotion:
         frames: int | Sequence[int | None] | None = None,
         *,
         seconds: float | Sequence[float | None] | None = None,
-        transition: int = 8,
+        transition: int = TRANSITION,
         seed: int | None = None,
         **sampling: Any,
     ) -> Motion:
@@ -184,7 +185,7 @@ class TextToMotion:
 
         Each part is generated alone; between two neighbours the last half of the one and the first half of the other
         are known and what is between them, in whole latents, is generated to the text of the first (BAD §5, MMM). All
-        latents are decoded at once. The motion may be longer than any clip of the training.
+        latents are decoded at once. The motion may be longer than any of the training; `kept` marks parts' own frames.
         """
         texts = check_texts(texts)
         check_value(transition, Count, "transition")
@@ -196,6 +197,7 @@ class TextToMotion:
         counts = self._lengths(frames, seconds, len(texts))
         if None in counts and any(counts):
             raise ValueError("parts of one motion need a length each, or none has one: give --frames or --seconds")
+        keep = None
         with self._inference():
             text, drawn = self.text_encoder(texts).to(self.device), torch.tensor(seeds)
             wanted = self._estimated(text, drawn) if None in counts else torch.tensor(counts)
@@ -205,8 +207,9 @@ class TextToMotion:
                 known = bridges(parts, space, transition, most)
                 first = self.text_encoder(texts[:-1]).to(self.device)
                 bridged = self.generator.sample(first, None, seeds=between, known=known, sampling=options)
-                parts = join(parts, space, bridged, ~known.mask & known.latents.mask)
-            (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]])
+                parts, own = join(parts, space, bridged, ~known.mask & known.latents.mask)
+                keep = kept_frames(own, space)
+            (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]], keep)
         return motion
 
     def edit(
