@@ -62,8 +62,8 @@ def follow_path(model: TextToMotion, prompts: list[Prompt], options: argparse.Na
 
 def chained(model: TextToMotion, texts: list[str], lengths: dict[str, Any], options: argparse.Namespace) -> Motion:
     """Join texts to one motion; one that is to be longer than the model's longest motion is shared out to parts."""
-    asked = [lengths.get(name) for name in ("frames", "seconds")]
-    counts = frame_counts(*asked, len(texts), fps=model.skeleton.fps, maximum=LONGEST)
+    frames, seconds, fps = lengths.get("frames"), lengths.get("seconds"), model.skeleton.fps
+    counts = frame_counts(frames, seconds, len(texts), fps=fps, maximum=LONGEST)
     parts: list[tuple[str, int | None]] = []
     for text, count in zip(texts, counts, strict=True):
         space, most = model.generator.space, model.max_frames

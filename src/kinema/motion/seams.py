@@ -68,4 +68,4 @@ def _measure(
 def _spans(inside: Bool[np.ndarray, " t"], size: int, touching: bool) -> Bool[np.ndarray, " n"]:
     """Tell of every span of `size` frames whether it touches the frames, or lies in them."""
     spans = np.lib.stride_tricks.sliding_window_view(inside, size) if len(inside) >= size else np.zeros((0, size), bool)
-    return spans.any(-1) if touching else spans.all(-1)
+    return np.asarray(spans.any(-1) if touching else spans.all(-1))
