@@ -9,6 +9,7 @@ import pytest
 from kinema.experiments.config import CONF
 from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.tables import load_table, plan
+from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line
 
 ANYWHERE = [file.stem for file in sorted((CONF / "table").glob("*.yaml")) if "only" not in load_table(file.stem)]
@@ -76,3 +77,12 @@ def test_a_failure_leaves_out_what_waits_for_it_and_nothing_else(tmp_path, monke
     assert set(reasons) == {tmp_path / name for name in "abcd"}
     assert reasons[tmp_path / "c"] == reasons[tmp_path / "b"] == reasons[tmp_path / "a"]
     assert reasons[tmp_path / "d"].startswith("stage='none' is unknown")
+
+
+@pytest.mark.slow
+def test_what_another_process_works_on_comes_last(tmp_path):
+    """Jobs that are refused at once: of two that are ready, the one whose folder is held waits."""
+    held, free = (Job("train", ("stage=nothing",), tmp_path / name) for name in ("held", "free"))
+    with RunFolder(held.makes).lock(), pytest.raises(JobsFailedError) as caught:
+        run_jobs([held, free], 1)
+    assert list(caught.value.failed) == [free, held]

@@ -13,7 +13,6 @@ from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import LENGTHS, plain, read_config
 from kinema.experiments.replications import scored_lines
 from kinema.experiments.stages import stages
-from kinema.locks import attempt
 from kinema.report.intervals import Value, means
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import read_lines
@@ -63,7 +62,7 @@ class Listed:
         if self.damage is not None:
             return DAMAGED
         state = self.folder.status["state"]
-        return "killed" if state == "running" and not _held(self.folder.path) else state
+        return "killed" if state == "running" and not self.folder.held else state
 
     @cached_property
     def lines(self) -> list[dict[str, Any]]:
@@ -180,16 +179,3 @@ def at(config: dict[str, Any], key: str) -> Any:
     for word in key.split("."):
         value = value.get(word) if isinstance(value, dict) else None
     return value
-
-
-def _held(run: Path) -> bool:
-    """Say whether a process works on a run: it holds one of its locks."""
-    for lock in (run / ".lock", *run.glob(".replication-*.lock")):
-        if lock.exists():
-            try:
-                with attempt(lock) as free:
-                    if not free:
-                        return True
-            except OSError:  # a folder of somebody else's
-                return True
-    return False

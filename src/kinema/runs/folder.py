@@ -11,7 +11,7 @@ from typing import Any
 
 from kinema.atomic import write_json
 from kinema.files.json import NUMBER, Kind, read_json
-from kinema.locks import hold
+from kinema.locks import attempt, hold
 from kinema.runs.console import console
 from kinema.signals import Interrupted, interruptible
 
@@ -75,6 +75,19 @@ class RunFolder:
         """Hold the run for this process; a second process waits (the system frees the lock of a killed one)."""
         told = f"waiting   {self.path}: another process works on it"
         return hold(self.path / ".lock", waiting=lambda: console.print(told))
+
+    @property
+    def held(self) -> bool:
+        """Say whether a process works on the run: it holds one of its locks."""
+        for lock in (self.path / ".lock", *self.path.glob(".replication-*.lock")):
+            if lock.exists():
+                try:
+                    with attempt(lock) as free:
+                        if not free:
+                            return True
+                except OSError:  # a folder of somebody else's
+                    return True
+        return False
 
 
 def read_about(path: Path, kind: Kind) -> dict[str, Any]:
