@@ -100,11 +100,17 @@ def test_generate_edit_and_look(run, capsys):
     assert "wrote walk.npz (40 frames, seed 3)" in capsys.readouterr().out
     walk = load_npz("walk.npz")
     assert walk.features.shape == (40, 67)
+    assert cli.main([*make, "--frames", "40", "--lock-feet", "--out", "held.npz"]) == 0
+    assert "feet      skating" in capsys.readouterr().out
+    assert np.array_equal(load_npz("held.npz").features[:, :4], walk.features[:, :4])
     assert cli.main([*make, "--frames", "40", "--out", "walk.html"]) == 0
     assert "a person walks" in Path("walk.html").read_text()
     make.insert(2, "someone sits")
     assert cli.main([*make, "--chain", "--frames", "40", "--out", "long.npz"]) == 0
     assert len(load_npz("long.npz").features) == 40 + 2 * 4 + 40
+    told = capsys.readouterr().out
+    assert "seam      2.0 s (frames 40:48): largest step " in told
+    assert "elsewhere largest step " in told
     change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), "--seed", "4", *FAST]
     for which in (["--regenerate", "0.5s:1s"], ["--keep", ":10,20:"]):
         assert cli.main([*change, *which, "--out", "edited.npz"]) == 0
@@ -125,6 +131,17 @@ def test_generate_edit_and_look(run, capsys):
     assert described["artifact"]["kinema"] == __version__
     assert described["text"]["encoder"] == "hashed"
     assert described["upstream"] == {"tokenizer": "../ae"}
+
+
+def test_one_text_is_chained_to_itself_beyond_the_longest_motion(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--seconds", "15", *FAST]
+    fails(capsys, [*make, "--out", "long.npz"], "longer ones are made of parts (--chain")
+    assert cli.main([*make, "--chain", "--out", "long.npz"]) == 0
+    assert "parts     2 of 148, 144 frames" in capsys.readouterr().out
+    long = load_npz("long.npz")
+    assert len(long.features) == 300
+    assert np.flatnonzero(~long.kept).tolist() == list(range(148, 156))
+    assert long.text == "a person walks"
 
 
 def test_several_texts_give_several_files_or_one_page(run):
@@ -241,6 +258,11 @@ def test_keyframes_are_widened_to_latents_and_said(run, capsys):
     change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), *FAST]
     assert cli.main([*change, "--keep", "0:1,39:40", "--out", "edited.npz"]) == 0
     assert "kept frames 0:4, 36:40" in capsys.readouterr().out
+    assert cli.main([*change, "--hold", "0,-1", "--out", "edited.npz"]) == 0
+    told = capsys.readouterr().out
+    assert "held      frames 0, 39, whole latents of 4 frames: within 0.0 cm of where they were" in told
+    assert "kept frames 0:4, 36:40" in told
+    fails(capsys, [*change, "--hold", "0", "--raw", "--out", "edited.npz"], "leave --raw out")
 
 
 @pytest.mark.parametrize("width", [67, 100, 263])

@@ -191,7 +191,7 @@ class Motion:
 
     `joints` are positions (frames, joints, 3), Y up, in the skeleton's unit; `features` their rows, which know neither
     where the motion stands nor which way it faces (an edit has that from its source's joints); `kept` is True at the
-    frames (frames,) that an edit kept whole (None: it is no edit, or one of a part of the body).
+    frames (frames,) that an edit kept whole, or of a chain's parts (None: it is neither, or of a part of the body).
     """
 
     joints: np.ndarray

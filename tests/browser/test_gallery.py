@@ -15,7 +15,9 @@ from kinema.text.manifest import Entry
 
 PLAYERS = "[...document.querySelectorAll('.kinema-player')].map(f => f.kinema)"
 CLOCKS = f"{PLAYERS}.map(p => p.state.time)"
-ENTRY = Entry("", "a man bows", 7, 60, "asked", 20.0, 1, None, "humanml3d", "run", "0", "MARDM", {}, 1, "cpu", {})
+ENTRY = Entry(
+    "", "a man bows", 7, 60, "asked", 20.0, 1, None, "humanml3d", "run", "0", "MARDM", {}, False, 1, "cpu", {}
+)
 
 
 @pytest.fixture

@@ -13,7 +13,10 @@ from kinema.data.datasets import ClipDataset
 from kinema.generators import Generator
 from kinema.generators.lengths import requested_lengths
 from kinema.motion.body_parts import columns_of
+from kinema.motion.trajectory import Trajectory
+from kinema.motion.waypoints import Waypoints
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.following import follow
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.frames import Frames
 from kinema.training.latents import EncodeEachTime, LatentCache, latent_source
@@ -114,6 +117,20 @@ def test_a_part_of_the_body_is_regenerated_and_the_rest_is_kept(workshop, repres
         model.edit(motions, "someone waves")
     with pytest.raises(ValueError, match=r"unknown part of the body 'arms'; allowed: upper, lower"):
         model.edit(motions, "someone waves", parts="arms")
+
+
+def test_a_method_on_frames_is_given_the_way_and_goes_it_to_the_millimetre(workshop, representation):
+    model = held(workshop, Frames(representation))
+    way = Waypoints(np.array([0.0, 1.0, 2.0]), np.array([[1.0, 1.0], [1.0, 2.0], [2.0, 2.0]]), None)
+    made = follow(model, TEXTS, way, seed=1)
+    assert made.strides is None
+    assert made.away < 1e-3
+    for motion in made.motions:
+        assert len(motion.joints) == 41
+        np.testing.assert_allclose(motion.joints[[0, 20, 40], 0][:, [0, 2]], way.places, atol=1e-3)
+        rows = Trajectory.of(motion.features)
+        np.testing.assert_allclose(rows.yaw[-1] - rows.yaw[0], -np.pi / 2, atol=0.1)  # it turned to +X
+    assert not np.array_equal(made.motions[0].features[:, 3:], made.motions[1].features[:, 3:])
 
 
 def test_features_of_a_frame_can_be_known_one_by_one(workshop, representation):

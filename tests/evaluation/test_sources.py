@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
 import torch
 
-from kinema.evaluation.lifted import Lifted
+from kinema.data.synthetic import synthetic_catalog
+from kinema.evaluation.changed import FeetLocked, Lifted
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.sources import (
     Edited,
@@ -21,6 +23,9 @@ from kinema.evaluation.sources import (
     ShuffledCaptions,
 )
 from kinema.generators import Generator, LatentModel
+from kinema.motion.body_parts import columns_of
+from kinema.motion.features import extract
+from kinema.motion.lifting import lift
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import HUMANML3D
 from kinema.motion.statistics import Statistics
@@ -337,3 +342,23 @@ def test_lifted_motion_keeps_its_essential_dims_and_its_padding():
     assert not found.features[0, 8:].any()
     alone = Lifted(RealMotion(), HUMANML3D)(MotionBatch(batch.features[:1, :8], lengths[:1]), torch.tensor([0]))
     assert torch.equal(found.features[0, :8], alone.features[0])
+
+
+@pytest.mark.parametrize("width", [67, 263])
+def test_held_feet_leave_root_arms_and_padding_and_are_told_in_full_rows_too(width):
+    clips = islice(synthetic_catalog(size=12, seed=4), 3)
+    made = [lift(extract(clip.joints(), HUMANML3D)[:40], HUMANML3D) for clip in clips]
+    for motion in made:
+        motion[:, 1] += 0.02  # feet slide at 0.4 m/s
+    lengths = torch.tensor([30, 40, 20])
+    features = torch.from_numpy(np.stack(made))[..., :width] * frame_mask(lengths, 40)[..., None]
+    found = FeetLocked(RealMotion(), HUMANML3D)(MotionBatch(features, lengths), torch.arange(3))
+    lower = torch.from_numpy(columns_of("lower", HUMANML3D)[:67])
+    assert torch.equal(found.features[..., :4], features[..., :4])
+    assert torch.equal(found.features[..., :67][..., ~lower], features[..., :67][..., ~lower])
+    assert found.features.shape == features.shape
+    assert not found.features[0, 30:].any()
+    assert (found.features - features).abs()[..., :67].amax((1, 2)).max() > 0.01
+    if width == 263:
+        again = lift(found.features[0, :30, :67].numpy(), HUMANML3D)
+        np.testing.assert_array_equal(found.features[0, :30].numpy(), again)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from kinema.data.synthetic import synthetic_catalog
-from kinema.motion.feet import contacts, legs, lock_feet, runs
+from kinema.motion.feet import contacts, drift, legs, lock_feet, runs
 from kinema.motion.kinematics import bone_lengths
 from kinema.motion.physics import foot_skating
 from kinema.motion.skeleton import HUMANML3D
@@ -21,7 +21,7 @@ def clips():
     return [clip.joints().astype(np.float64) for clip in synthetic_catalog(size=40, seed=5)][:20]
 
 
-def sliding(joints: np.ndarray, speed: float = 0.7) -> np.ndarray:
+def sliding(joints: np.ndarray, speed: float = 0.6) -> np.ndarray:
     """Let the whole body drift: every standing foot slides."""
     drift = np.arange(len(joints))[:, None] * speed / 20 * np.array([0.6, 0, 0.8])
     return joints + drift[:, None]
@@ -49,8 +49,21 @@ def test_sliding_feet_slide_less_and_nothing_but_legs_moves(clips):
 def test_a_foot_that_stands_stands_still(clips):
     joints = np.tile(clips[0][:1], (30, 1, 1))
     joints[..., 1] -= joints[..., 1].min()
-    locked = lock_feet(sliding(joints, 0.3), HUMANML3D, 20)
+    locked = lock_feet(sliding(joints, 0.2), HUMANML3D, 20)
     assert np.ptp(locked[:, 10], axis=0).max() < 0.02
+
+
+def test_a_foot_that_slides_far_takes_a_step(clips):
+    joints = np.tile(clips[0][:1], (40, 1, 1))
+    joints[..., 1] -= joints[..., 1].min()
+    joints = sliding(joints, 0.4)
+    toe = lock_feet(joints, HUMANML3D, 20)[:, 10]
+    assert runs(contacts(toe, 20)) == [(0, 18), (22, 40)]
+    assert np.linalg.norm(toe[-1] - toe[0]) > 0.3
+    assert max(drift(toe, contacts(toe, 20))) < 0.01
+    assert max(drift(joints[:, 10], contacts(toe, 20))) == pytest.approx(17 * 0.02)
+    assert toe[20, 1] > 0.05
+    assert skating([joints]) == 0  # slow sliding, that the metric does not see
 
 
 def test_a_body_that_stands_still_stays_as_it_is(clips):

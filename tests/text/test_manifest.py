@@ -10,7 +10,23 @@ from kinema.text.manifest import Entry, add, read_manifest
 from kinema.text.prompts import Prompt, read_prompts
 
 WALK = Entry(
-    "walk.npz", "a person walks", 7, 80, "asked", 20.0, 1, "w", "humanml3d", "mar", "0123", "MARDM", {}, 1, "cpu", {}
+    "walk.npz",
+    "a person walks",
+    7,
+    80,
+    "asked",
+    20.0,
+    1,
+    "w",
+    "humanml3d",
+    "mar",
+    "0123",
+    "MARDM",
+    {},
+    False,
+    1,
+    "cpu",
+    {},
 )
 BOW = replace(WALK, file="démarre.npz", text="bow", length="model", name=None, sampling={"steps": [1, 2]})
 

@@ -40,7 +40,7 @@ KINDS = (
     "clip-evaluator",
 )
 SHELLS = ("bash", "zsh")
-PARTS = ("upper", "lower")
+PARTS = ("upper", "lower", "body")
 MOTIONS = ".html .mp4 .npz .npy .png .bvh .glb .vrma .fbx .amass.npz"
 FORMATS = ("joints", "humanml3d", "kit", "synthetic", "bvh", "amc", "amass")
 EXPERIMENTS = {
@@ -64,7 +64,16 @@ KEEP_HELP = (
     f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
+HOLD_HELP = (
+    "keyframes, 0,40,-1 or 0s,2s: they come back where they are, everything else becomes new; a frame's whole latent "
+    "(often 4 frames) is held, and the root is led from one to the next"
+)
+PATH_HELP = (
+    "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds), .npy or "
+    ".npz; rows without times are one a frame"
+)
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
+FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
 PROMPTS_HELP = (
     "file of prompts in place of TEXT: .txt, one a line (`a person walks#120` says its frames); .csv and .jsonl with "
     "text and, if you like, frames or seconds, count, seed, name. What a prompt doesn't say the options do"
@@ -76,7 +85,8 @@ OUT_HELP = (
 )
 PARTS_HELP = (
     "regenerate this part of the body alone, in the whole motion or in the ranges above; upper: everything but root, "
-    "legs and foot contacts (methods that generate frames: mdm, motiondiffuse, ...)"
+    "legs and foot contacts; body: everything but the root's way over the floor (methods that generate frames: mdm, "
+    "motiondiffuse, ...)"
 )
 
 
@@ -165,6 +175,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     make.add_argument("--batch-size", type=int, default=32, metavar="N", help=BATCH_HELP)
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
+    make.add_argument("--path", metavar="FILE", help=PATH_HELP)
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument(
         "--motion", required=True, help=".npz that generate wrote; joints (T, J, 3) or features as .npy"
@@ -173,6 +184,7 @@ def _parser() -> argparse.ArgumentParser:
     which = change.add_mutually_exclusive_group()
     which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
     which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
+    which.add_argument("--hold", metavar="FRAMES", help=HOLD_HELP)
     change.add_argument("--parts", choices=PARTS, help=PARTS_HELP)
     change.add_argument("--raw", action="store_true", help="give the raw decoding instead of pasting the kept frames")
     change.add_argument("--blend", type=float, metavar="SECONDS", help=BLEND_HELP)
@@ -182,6 +194,7 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--length", metavar="RUN", help="run folder of a length estimator")
         one.add_argument("--out", required=True, help=OUT_HELP if one is make else f"file to write: {MOTIONS}")
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
+        one.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
         _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
     _add_convention(change)
@@ -281,7 +294,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     """Add what a motion may be changed by on its way out."""
     parser.add_argument("motion", help="a file of motion: .npz of generate, .npy of joints, .bvh, .amc")
     parser.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
-    parser.add_argument("--lock-feet", action="store_true", help="hold feet that stand; legs bend, nothing else moves")
+    parser.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
     rigs = parser.add_argument_group("changes of .bvh, .glb, .vrma, .fbx and .amass.npz", "formats of rotations")
     rigs.add_argument("--rate", type=float, metavar="FPS", help="frames per second to write (turns are interpolated)")
     rigs.add_argument("--in-place", action="store_true", help="stay over one spot")

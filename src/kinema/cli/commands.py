@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from kinema.cli.control import chained, follow_path, hold_frames, tell_seams
 from kinema.cli.convention import told
+from kinema.cli.exporting import stand
 from kinema.cli.takes import Batch, check_made
 from kinema.data import doctor as examine
 from kinema.data.captures import SUFFIXES
@@ -33,7 +35,7 @@ from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import is_template
-from kinema.pipeline.requests import takes_of
+from kinema.pipeline.requests import Take, takes_of
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.console import printable
@@ -54,43 +56,68 @@ def generate(options: argparse.Namespace) -> None:
         raise ValueError("--chain makes one motion of all prompts, of one --seed: leave out their seed and count")
     asked = takes_of(prompts, count=options.count, seed=options.seed)
     many = is_template(options.out)
-    if many and options.chain:
-        raise ValueError(f"--out {options.out}: --chain makes one motion; name its file without braces")
+    if many and (options.chain or options.path is not None):
+        raise ValueError(f"--out {options.out}: name one file without braces with --chain and --path")
     files = _files(options.out, 1 if options.chain or many else len(asked))
     batch = Batch.named(options.out, asked) if many else None
     model = _model(options)
+    model.changed_sampling(options.set)  # before its names can stand for other arguments
+    check_made(asked, model, options)
+    if batch is not None:
+        batch.write(model, _lengths(model, asked, options), options)
+        return
+    made = _made(model, asked, options)
+    made = stand(made) if options.lock_feet else made
+    _write(made, files)
+    if options.chain:
+        tell_seams(made[0], model.skeleton)
+
+
+def _made(model: TextToMotion, asked: list[Take], options: argparse.Namespace) -> list[Motion]:
+    """Generate what is asked for along a path, as one motion, or each by itself."""
+    if options.path is not None:
+        return follow_path(model, asked, options)
+    if options.chain:
+        return [chained(model, asked, options)]
+    texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
+    lengths = _lengths(model, asked, options)
+    return model.generate(texts, lengths, seed=seeds, batch_size=options.batch_size, **options.set)
+
+
+def _lengths(model: TextToMotion, asked: list[Take], options: argparse.Namespace) -> list[int | None]:
+    """Return the frames of each motion: a prompt's own, else those of the command line; None is the model's to say."""
     fps = model.skeleton.fps
     (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
-    lengths = model.lengths([take.frames(usual, fps) for take in asked], None, len(asked))
-    model.changed_sampling(options.set)  # before its names can stand for other arguments
-    check_made(asked, model, options.set)
-    texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
-    if batch is not None:
-        batch.write(model, lengths, options)
-        return
-    if options.chain:
-        made = [model.chain(texts, lengths, seed=options.seed, **options.set)]
-    else:
-        made = model.generate(texts, lengths, seed=seeds, batch_size=options.batch_size, **options.set)
-    _write(made, files)
+    return model.lengths([take.frames(usual, fps) for take in asked], None, len(asked))
 
 
 def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
     files = _files(options.out, 1)
     given = options.keep if options.regenerate is None else options.regenerate
-    if given is None and options.parts is None:
-        raise ValueError("nothing to regenerate: give --regenerate RANGES, --keep RANGES or --parts upper|lower")
+    if given is None and options.parts is None and options.hold is None:
+        raise ValueError(
+            "nothing to regenerate: give --regenerate RANGES, --keep RANGES, --hold FRAMES or --parts upper|lower"
+        )
     model = _model(options)
     model.changed_sampling(options.set)
     recording = read_recording(options.motion, told(options))
     motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
     print(f"read {recording.path}: {recording.note}")
+    made = [hold_frames(model, motion, options)] if options.hold is not None else _edited(model, motion, given, options)
+    made = stand(made) if options.lock_feet else made
+    _write(made, files)
+    if (kept := made[0].kept) is not None:
+        print(_stayed(made[0], kept, model.skeleton))
+
+
+def _edited(model: TextToMotion, motion: Motion, given: str | None, options: argparse.Namespace) -> list[Motion]:
+    """Regenerate ranges of frames, a part of the body, or both."""
     frames = None
     if given is not None:
         size = len(motion.features)
         frames = [parse_ranges(given, size, model.skeleton.fps, kept=options.keep is not None)]
-    made = model.edit(
+    return model.edit(
         motion,
         options.text,
         frames,
@@ -100,9 +127,6 @@ def edit(options: argparse.Namespace) -> None:
         **({} if options.blend is None else {"blend": options.blend}),
         **options.set,
     )
-    _write(made, files)
-    if (kept := made[0].kept) is not None:
-        print(_stayed(made[0], kept, model.skeleton))
 
 
 def import_checkpoint(options: argparse.Namespace) -> None:

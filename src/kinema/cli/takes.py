@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from kinema.cli.exporting import stand
 from kinema.motion import export
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import batches
@@ -45,6 +46,7 @@ class Batch:
             takes, counts = self.asked[part], list(lengths[part])
             texts, seeds = [take.prompt.text for take in takes], [take.seed for take in takes]
             motions = model.generate(texts, counts, seed=seeds, batch_size=options.batch_size, **options.set)
+            motions = stand(motions) if options.lock_feet else motions
             entries = []
             for take, motion, file, count in zip(takes, motions, self.files[part], counts, strict=True):
                 export.save(motion, file)
@@ -68,19 +70,23 @@ class Batch:
         )
 
 
-def check_made(asked: Sequence[Take], model: TextToMotion, changes: dict[str, Any]) -> None:
+def check_made(asked: Sequence[Take], model: TextToMotion, options: argparse.Namespace) -> None:
     """Refuse to make the motions of a manifest again with another model or other options."""
     entries = [take.prompt.entry for take in asked if take.prompt.entry is not None]
     if not entries:
         return
-    own, options = fingerprint(model), sampling_of(model, changes)
+    own, sampling = fingerprint(model), sampling_of(model, options.set)
     for entry in entries:
         if entry.model != own:
             raise ValueError(
                 f"{entry.file} was made by {entry.run} (model {entry.model}), and this is model {own}: give its --run"
             )
-        if other := [f"--set {key}={value}" for key, value in entry.sampling.items() if options.get(key) != value]:
+        if other := [f"--set {key}={value}" for key, value in entry.sampling.items() if sampling.get(key) != value]:
             raise ValueError(f"{entry.file} was made with {' '.join(other)}: give these, or leave its line out")
+        if entry.lock_feet != options.lock_feet:
+            raise ValueError(
+                f"{entry.file} was made {'with' if entry.lock_feet else 'without'} --lock-feet: do so again"
+            )
 
 
 def _made_with(model: TextToMotion, options: argparse.Namespace) -> dict[str, Any]:
@@ -89,6 +95,7 @@ def _made_with(model: TextToMotion, options: argparse.Namespace) -> dict[str, An
         "model": fingerprint(model),
         "method": type(model.generator).__name__,
         "sampling": sampling_of(model, options.set),
+        "lock_feet": options.lock_feet,
         "batch_size": options.batch_size,
         "device": model.device.type,
         "versions": {name: value for name, value in versions().items() if name in ("kinema", "torch", "revision")},

@@ -106,7 +106,7 @@ def describe(cfg: DictConfig) -> Row:
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     if "perturb" in identity:
         what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
-    what += "_lifted" if cfg.lift else ""
+    what += ("_feet" if cfg.lock_feet else "") + ("_lifted" if cfg.lift else "")
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     read = {name: run for name, run in row.judges.items() if name not in unread(cfg)}
@@ -141,6 +141,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         identity["lengths"] = cfg.lengths
     if cfg.lift:
         identity["lift"] = True
+    if cfg.lock_feet:
+        identity["lock_feet"] = True
     if cfg.source == "perturbed":
         identity["perturb"] = plain(cfg.perturb)
     if any((cfg.get("evaluators") or {}).values()):

@@ -201,6 +201,7 @@ class Request(Options):
     task: Annotated[str, OneOf(TASKS)] = "generation"
     lengths: Annotated[str, OneOf(LENGTHS)] = "real"
     lift: bool = False
+    lock_feet: bool = False
     replications: Annotated[list[Number], Len(1)] | None = None
     objective: str | None = None
     run: str | None = None

@@ -16,7 +16,7 @@ from kinema.data.leakage import Nearness
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
-from kinema.evaluation.lifted import Lifted
+from kinema.evaluation.changed import FeetLocked, Lifted
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.evaluation.training_set import TrainingSet
@@ -58,6 +58,7 @@ class Scorer:
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.training = TrainingSet.embedded(self.store, self.matching, self.cache)
         source = self._source(row)
+        source = FeetLocked(source, self.store.skeleton) if cfg.lock_feet else source
         self.source = Lifted(source, self.store.skeleton) if cfg.lift else source
         judged = (model.representation.kind for model in models.values())
         self.data = self._clips(self.source.dims, *judged)
@@ -79,6 +80,7 @@ class Scorer:
             "sampling": sampling,
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
             "lift": cfg.lift,
+            "lock_feet": cfg.lock_feet,
             "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
             "protocol": plain(cfg.scale.protocol),

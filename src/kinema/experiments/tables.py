@@ -271,8 +271,9 @@ def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any
 
 def _notes(row: TableRow) -> tuple[str, ...]:
     """Say what of the row's making a reader can't see in its label."""
-    lifted = row.cfg is not None and row.cfg.lift
-    return _lengths_note(row), _steps_note(row), "redundant dims recomputed from the joints" if lifted else ""
+    lifted, locked = (row.cfg is not None and row.cfg[key] for key in ("lift", "lock_feet"))
+    changes = ("redundant dims recomputed from the joints" if lifted else "", "feet held" if locked else "")
+    return _lengths_note(row), _steps_note(row), *changes
 
 
 def _lengths_note(row: TableRow) -> str:

@@ -11,7 +11,7 @@ from omegaconf import DictConfig
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
-from kinema.evaluation.lifted import Lifted
+from kinema.evaluation.changed import Lifted
 from kinema.evaluation.protocol import EvaluationProtocol, evaluate_replication
 from kinema.evaluation.sources import Generated, Source
 from kinema.experiments.instantiate import read_model

@@ -7,8 +7,9 @@ from jaxtyping import Bool
 
 from kinema.motion.skeleton import Skeleton
 
-PARTS = ("upper", "lower")
-"""The lower body is the root, the legs and the foot contacts; the upper all other joints (MDM §5)."""
+PARTS = ("upper", "lower", "body")
+"""The lower body is the root, the legs and the foot contacts; the upper all other joints (MDM §5).
+`body` is all but the root's way over the floor: its turns and steps."""
 
 
 def legs(skeleton: Skeleton) -> set[int]:
@@ -21,6 +22,8 @@ def columns_of(part: str, skeleton: Skeleton) -> Bool[np.ndarray, " d"]:
     """Mark the columns of a full feature row that describe a part; raises ValueError for an unknown one."""
     if part not in PARTS:
         raise ValueError(f"unknown part of the body {part!r}; allowed: {', '.join(PARTS)}")
+    if part == "body":
+        return ~np.isin(np.arange(skeleton.feature_width), np.arange(3))
     lower = np.isin(np.arange(skeleton.num_joints), list(legs(skeleton)))
     columns = np.ones(skeleton.feature_width, dtype=bool)
     groups = skeleton.groups

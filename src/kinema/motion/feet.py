@@ -1,8 +1,9 @@
 """Hold feet where they stand: contacts from height and speed, legs bent to meet them; nothing else moves.
 
-A toe that is low and slow stands (at its median place over the contact); ankle and toe are moved there, at the
-contact's ends by parts, and the knee follows by two-bone inverse kinematics, bent to the side that it was bent to.
-Between contacts a toe that would sweep the floor is lifted over it.
+A toe that is low and slow stands (at its median place over the contact); ankle and toe are moved there, around the
+contact by parts, and the knee follows by two-bone inverse kinematics, bent to the side that it was bent to. Between
+contacts a toe that would sweep the floor is lifted over it; one that slides far while it stands takes steps. The
+numbers were chosen on motion that was generated for captions of a validation split (docs/export.md).
 """
 
 from __future__ import annotations
@@ -16,10 +17,14 @@ from jaxtyping import Bool, Float
 from kinema.motion.rotation import shortest_arc, unit
 from kinema.motion.skeleton import Skeleton
 
-LOW, SLOW = 0.06, 0.9
+LOW, SLOW = 0.06, 0.7
 """Metres above the floor and metres per second below which a toe is taken to stand."""
 SHORTEST, GAP = 0.15, 0.1
 """Seconds: shorter contacts are left alone, gaps between contacts that are no longer are closed."""
+FAR, STEP = 0.2, 0.2
+"""Metres that a toe stands from its place at most: one that slides farther takes steps of so many seconds."""
+HOLD, RISE = 0.05, 0.1
+"""Seconds before and behind a contact in which a toe moves up and down alone, and in which it is clear of the floor."""
 BLEND = 0.25
 """Seconds over which a foot goes from where it was to where it stands."""
 CLEAR = 0.06
@@ -68,8 +73,28 @@ def contacts(toe: Float[np.ndarray, "t 3"], fps: float) -> Bool[np.ndarray, " t"
     """Tell in which frames a toe stands."""
     speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps if len(toe) > 1 else np.zeros(1)
     standing = (toe[:, 1] < LOW) & (speed < SLOW)
-    standing = _without_short(~standing, round(GAP * fps) + 1, inside=True)
-    return _without_short(~standing, round(SHORTEST * fps))
+    standing = ~_without_short(~standing, round(GAP * fps) + 1, inside=True)
+    for start, end in runs(standing):
+        _step(toe, standing, start, end, fps)
+    return _without_short(standing, round(SHORTEST * fps))
+
+
+def _step(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"], start: int, end: int, fps: float) -> None:
+    """Let a toe that stands too far from its place step in the middle of its contact, and in the halves' middles."""
+    away = np.linalg.norm((toe[start:end] - np.median(toe[start:end], axis=0))[:, [0, 2]], axis=-1)
+    size, middle = round(STEP * fps), (start + end) // 2
+    if away.max() <= FAR or end - start < size + 2 * round(SHORTEST * fps):
+        return
+    left, right = middle - size // 2, middle - size // 2 + size
+    standing[left:right] = False
+    _step(toe, standing, start, left, fps)
+    _step(toe, standing, right, end, fps)
+
+
+def drift(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"]) -> list[float]:
+    """Return how far a toe comes from where it began to stand, over the floor, of each contact."""
+    found = [toe[start:end, [0, 2]] - toe[start, [0, 2]] for start, end in runs(standing)]
+    return [float(np.linalg.norm(away, axis=-1).max()) for away in found]
 
 
 def runs(flags: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:
@@ -90,11 +115,12 @@ def _without_short(flags: Bool[np.ndarray, " t"], shortest: int, *, inside: bool
 def _shift(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"], fps: float) -> Float[np.ndarray, "t 3"]:
     """Say by how much the foot moves in each frame, horizontally: to its place in contacts, by parts around them."""
     shift, size, blend = np.zeros_like(toe), len(toe), max(round(BLEND * fps), 1)
-    found = runs(standing)
-    for start, end in found:
+    found, hold = runs(standing), round(HOLD * fps)
+    held = [(max(start - hold, 0), min(end + hold, size)) for start, end in found]
+    for (start, end), (first, last) in zip(found, held, strict=True):
         place = np.median(toe[start:end], axis=0)
-        shift[start:end] = (place - toe[start:end]) * [1, 0, 1]
-    edges = [(0, 0), *found, (size, size)]
+        shift[first:last] = (place - toe[first:last]) * [1, 0, 1]
+    edges = [(0, 0), *held, (size, size)]
     for (_, left), (right, _) in pairwise(edges):
         frames = np.arange(left, right)
         if left > 0:
@@ -106,13 +132,13 @@ def _shift(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"], fps:
 
 def _clearance(standing: Bool[np.ndarray, " t"], fps: float) -> Float[np.ndarray, " t"]:
     """Say how high a toe is at least: on the floor where it stands, risen and lowered by parts between contacts."""
-    height, blend = np.zeros(len(standing)), max(round(BLEND * fps / 2), 1)
+    height, blend = np.zeros(len(standing)), max(round(RISE * fps), 1)
     for start, end in runs(~standing):
         frames = np.arange(start, end)
         to_edge = np.minimum(
             frames - start + 1 if start > 0 else len(standing), end - frames if end < len(standing) else len(standing)
         )
-        height[start:end] = CLEAR * _ease(to_edge / (blend + 1)) if standing.any() else 0
+        height[start:end] = CLEAR * _ease(to_edge / blend) if standing.any() else 0
     return height
 
 

@@ -28,16 +28,16 @@ def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: i
     counts = [value if value is None or seconds is None else round(value * fps) for value in asked]
     for count in counts:
         if count is not None:
-            check_length(count, maximum, fps)
+            check_length(count, maximum, fps, "; longer ones are made of parts (--chain, TextToMotion.chain)")
     return counts
 
 
-def check_length(count: int, maximum: int, fps: float) -> None:
-    """Refuse a length that training never saw."""
+def check_length(count: int, maximum: int, fps: float, fix: str = "") -> None:
+    """Refuse a length that training never saw; `fix` is told of a longer one."""
     if not 1 <= count <= maximum:
         raise ValueError(
             f"length {count} is out of range; allowed: 1 to {maximum} frames "
-            f"({maximum / fps:g} seconds at {fps:g} frames per second)"
+            f"({maximum / fps:g} seconds at {fps:g} frames per second){fix if count > maximum else ''}"
         )
 
 

@@ -8,6 +8,9 @@ from torch import Tensor
 
 from kinema.types import Known, Latents, LatentSpace, frame_mask
 
+TRANSITION = 8
+"""Frames of a transition, unless others are asked for."""
+
 
 def bridges(parts: Latents, space: LatentSpace, transition: int, most: int) -> Known:
     """Make one window for each pair of neighbours: [last half | free latents | first half] (BAD §5).
@@ -35,8 +38,13 @@ def bridges(parts: Latents, space: LatentSpace, transition: int, most: int) -> K
     return Known(parts.holding(gathered * keep[..., None], lengths, space.frames_of(lengths)), keep)
 
 
-def join(parts: Latents, space: LatentSpace, bridged: Latents, free: Bool[Tensor, "b n"]) -> Latents:
-    """Put what was generated between the parts (`free` in each window) between them: one sequence."""
+def join(
+    parts: Latents, space: LatentSpace, bridged: Latents, free: Bool[Tensor, "b n"]
+) -> tuple[Latents, Bool[Tensor, "1 m"]]:
+    """Put what was generated between the parts (`free` in each window) between them: one sequence.
+
+    The mask is True at the parts' own latents.
+    """
     content, between = parts.content, bridged.content
     pieces = []
     for i, length in enumerate(parts.lengths.tolist()):
@@ -44,8 +52,23 @@ def join(parts: Latents, space: LatentSpace, bridged: Latents, free: Bool[Tensor
         if i < len(between):
             pieces.append(between[i][free[i]])
     whole = torch.cat(pieces)[None]
+    own = torch.cat([torch.full((len(piece),), i % 2 == 0) for i, piece in enumerate(pieces)])[None]
     lengths = torch.tensor([whole.shape[1]], device=parts.lengths.device)
-    return parts.holding(whole, lengths, space.frames_of(lengths))
+    return parts.holding(whole, lengths, space.frames_of(lengths)), own.to(whole.device)
+
+
+def shared_out(count: int, space: LatentSpace, transition: int, most: int) -> list[int]:
+    """Share so many frames out to parts of at most `most` latents each, with transitions between them.
+
+    All are whole latents; a motion that needs no second part keeps its count.
+    """
+    unit, free = space.in_time("joining motions"), space.latents_of(space.whole(transition))
+    if space.latents_of(space.whole(count)) <= most:
+        return [count]
+    latents = space.latents_of(space.whole(count))
+    size = -(-(latents + free) // (most + free))
+    left = latents - (size - 1) * free
+    return [unit * (left // size + (i < left % size)) for i in range(size)]
 
 
 def _take(content: Tensor, index: Int[Tensor, "b n"]) -> Tensor:

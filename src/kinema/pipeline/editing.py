@@ -176,6 +176,15 @@ def parse_ranges(text: str, length: int, fps: float, *, kept: bool = False) -> R
     return complement(found, length) if kept else found
 
 
+def parse_frames(text: str, length: int, fps: float) -> list[int]:
+    """Read "0,40,79" (frames) or "0s,2s" (seconds) as frames of a clip; -1 is the last."""
+    found = [_frame(part, fps) for part in text.split(",")]
+    for frame in found:
+        if not -length <= frame < length:
+            raise ValueError(f"frame {frame} is outside the clip; it has frames 0 to {length - 1} (-1 is the last)")
+    return sorted({frame % length for frame in found})
+
+
 def complement(ranges: Ranges, length: int) -> Ranges:
     """Return the ranges between the ranges."""
     edited = edited_frames([ranges], length)[0].tolist()

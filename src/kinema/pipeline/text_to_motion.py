@@ -20,12 +20,13 @@ from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
-from kinema.pipeline.chaining import bridges, join
+from kinema.pipeline.chaining import TRANSITION, bridges, join
 from kinema.pipeline.editing import (
     Ranges,
     edited_features,
     edited_frames,
     in_place,
+    kept_frames,
     kept_latents,
     resolve_ranges,
     stack_sources,
@@ -145,7 +146,7 @@ class TextToMotion(Portable):
         frames: int | Sequence[int | None] | None = None,
         *,
         seconds: float | Sequence[float | None] | None = None,
-        transition: int = 8,
+        transition: int = TRANSITION,
         seed: int | None = None,
         **sampling: Any,
     ) -> Motion:
@@ -153,7 +154,7 @@ class TextToMotion(Portable):
 
         Each part is generated alone; between two neighbours the last half of the one and the first half of the other
         are known and what is between them, in whole latents, is generated to the text of the first (BAD §5, MMM). All
-        latents are decoded at once. The motion may be longer than any clip of the training.
+        latents are decoded at once. The motion may be longer than any of the training; `kept` marks parts' own frames.
         """
         texts = check_texts(texts)
         check_value(transition, Count, "transition")
@@ -165,6 +166,7 @@ class TextToMotion(Portable):
         counts = self.lengths(frames, seconds, len(texts))
         if None in counts and any(counts):
             raise ValueError("parts of one motion need a length each, or none has one: give --frames or --seconds")
+        keep = None
         with self._inference():
             text, drawn = self.encode(texts).to(self.device), torch.tensor(seeds)
             wanted = self._estimated(text, drawn) if None in counts else torch.tensor(counts)
@@ -174,8 +176,9 @@ class TextToMotion(Portable):
                 known = bridges(parts, space, transition, most)
                 first = self.text_encoder(texts[:-1]).to(self.device)
                 bridged = self.generator.sample(first, None, seeds=between, known=known, sampling=options)
-                parts = join(parts, space, bridged, ~known.mask & known.latents.mask)
-            (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]])
+                parts, own = join(parts, space, bridged, ~known.mask & known.latents.mask)
+                keep = kept_frames(own, space)
+            (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]], keep)
         return motion
 
     def edit(
@@ -185,7 +188,7 @@ class TextToMotion(Portable):
         frames: str | Sequence[Any] | None = None,
         *,
         parts: str | None = None,
-        seed: int | None = None,
+        seed: int | list[int] | None = None,
         batch_size: int = 32,
         paste: bool = True,
         blend: float = BLEND,
@@ -193,7 +196,7 @@ class TextToMotion(Portable):
     ) -> list[Motion]:
         """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
 
-        `parts` ("upper" or "lower") regenerates that part of the body alone, in `frames` or (None) in the whole motion;
+        `parts` ("upper", "lower", "body") regenerates that part of the body alone, in `frames` or (None) in the whole motion;
         only methods that generate frames can. A task's name says what stays: the first half, the second, both ends, the
         middle. Kept features come back bit-equal, and the motion stands and faces as its joints did; the root is
         integrated from the rows, so that what follows an edit moves on from where the edit ends. A kept stretch that

@@ -1,0 +1,91 @@
+"""Do what `kinema edit --hold`, `kinema generate --path` and `--chain` ask, and say how near it came."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+from kinema.motion.seams import Stretch, seams
+from kinema.motion.skeleton import Skeleton
+from kinema.motion.waypoints import read_waypoints
+from kinema.pipeline import TextToMotion
+from kinema.pipeline.arguments import frame_counts
+from kinema.pipeline.chaining import TRANSITION, shared_out
+from kinema.pipeline.editing import parse_frames
+from kinema.pipeline.following import follow
+from kinema.pipeline.holding import hold
+from kinema.pipeline.requests import Take
+from kinema.types import Motion
+
+LONGEST = 20000
+"""Frames that a chained motion may have."""
+
+
+def hold_frames(model: TextToMotion, motion: Motion, options: argparse.Namespace) -> Motion:
+    """Regenerate everything but some frames, and say where these stand."""
+    for option, given in (("--parts", options.parts is not None), ("--raw", options.raw)):
+        if given:
+            raise ValueError(f"--hold keeps whole frames in their places; leave {option} out, or give --keep instead")
+    blend = {} if options.blend is None else {"blend": options.blend}
+    frames = parse_frames(options.hold, len(motion.features), model.skeleton.fps)
+    made = hold(model, motion, options.text, frames, seed=options.seed, **blend, **options.set)
+    unit = model.tokenizer.space.in_time("keeping a part of a motion")
+    latents = f", whole latents of {unit} frames" if unit > 1 else ""
+    print(
+        f"held      frames {', '.join(map(str, frames))}{latents}: within {100 * made.away:.1f} cm of where they were; "
+        f"the root was led by {100 * made.led:.0f} cm and {made.turned:.0f} degrees at most"
+    )
+    return made.motion
+
+
+def follow_path(model: TextToMotion, asked: list[Take], options: argparse.Namespace) -> list[Motion]:
+    """Generate motion along the way of a file, and say how far from it the roots are."""
+    if options.chain or any(take.frames(None, model.skeleton.fps) is not None for take in asked):
+        raise ValueError(
+            "--path says itself how long a motion is (or --seconds does): leave --chain and lengths of prompts out"
+        )
+    way, fps = read_waypoints(options.path, model.skeleton.fps), model.skeleton.fps
+    (count,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
+    if count is None and way.frames(fps) > model.max_frames:
+        raise ValueError(
+            f"{options.path} takes {way.seconds:.1f} s, the longest motion is {model.max_frames / fps:.1f} s; give "
+            "--seconds to go it faster, or a shorter path"
+        )
+    texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
+    made = follow(model, texts, way, count, seed=seeds, **options.set)
+    how = "known to the network" if made.strides is None else f"strides x {', '.join(f'{s:.2f}' for s in made.strides)}"
+    print(
+        f"path      {way.length:.1f} m: the root is {100 * made.away:.1f} cm from it on average, frame by frame; {how}"
+    )
+    return made.motions
+
+
+def chained(model: TextToMotion, asked: list[Take], options: argparse.Namespace) -> Motion:
+    """Join texts to one motion; one that is to be longer than the model's longest motion is shared out to parts."""
+    fps, texts = model.skeleton.fps, [take.prompt.text for take in asked]
+    (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=LONGEST)
+    counts = frame_counts([take.frames(usual, fps) for take in asked], None, len(asked), fps=fps, maximum=LONGEST)
+    parts: list[tuple[str, int | None]] = []
+    for text, count in zip(texts, counts, strict=True):
+        space, most = model.generator.space, model.max_frames
+        shares = [None] if count is None else shared_out(count, space, TRANSITION, space.latents_of(most))
+        parts += [(text, share) for share in shares]
+    if len(parts) > len(texts):
+        print(f"parts     {len(parts)} of {', '.join(str(share) for _, share in parts)} frames")
+    said, sizes = [text for text, _ in parts], [share for _, share in parts]
+    made = model.chain(said, sizes, transition=TRANSITION, seed=options.seed, **options.set)
+    return replace(made, text="; ".join(texts))
+
+
+def tell_seams(motion: Motion, skeleton: Skeleton) -> None:
+    """Say of each generated transition how it differs from the rest of the motion."""
+    if motion.kept is None:
+        return
+    found, rest = seams(motion.joints, motion.kept, skeleton, motion.fps)
+
+    def said(one: Stretch) -> str:
+        return f"largest step {100 * one.step:.0f} cm, peak jerk {one.jerk:.0f} m/s3, skating {one.skating:.0%}"
+
+    for seam in found:
+        print(f"seam      {seam.start / motion.fps:.1f} s (frames {seam.start}:{seam.end}): {said(seam)}")
+    print(f"elsewhere {said(rest)}")
