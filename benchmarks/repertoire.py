@@ -7,6 +7,7 @@ should be told.
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
@@ -46,9 +47,13 @@ def sentences(block: str) -> list[str]:
 
 def main() -> None:
     """Print the share of texts that each group would be told of."""
+    cfg = compose(["data=open_mocap"])
+    if not Path(cfg.data.source).is_dir():
+        print(f"skipped: no corpus at {cfg.data.source}; set KINEMA_SHARED")
+        return
     known = Repertoire.read(find_model(sys.argv[1] if len(sys.argv) > 1 else DEFAULT))
     assert known is not None
-    encoder, store = build_text_encoder("minilm"), PackedStore.open(open_corpus(compose(["data=open_mocap"])))
+    encoder, store = build_text_encoder("minilm"), PackedStore.open(open_corpus(cfg))
     groups = {
         "training captions": list(captions_of(store, "train")),
         "val captions (chosen on)": list(captions_of(store, "val")),
