@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from kinema import __version__, cli, interop
+from kinema.cli import parser
 from kinema.motion import body_parts
 from kinema.motion.formats.arrays import load_npy, load_npz, save_npz
 from kinema.motion.recording import read_recording
@@ -419,5 +420,5 @@ def test_help_needs_no_torch():
 
 
 def test_the_choices_are_those_that_exist():
-    assert set(cli.KINDS) == set(interop.KINDS)
-    assert cli.PARTS == body_parts.PARTS
+    assert set(parser.KINDS) == set(interop.KINDS)
+    assert parser.PARTS == body_parts.PARTS

@@ -14,6 +14,7 @@ import torch
 
 from kinema import cli
 from kinema.atomic import write_json
+from kinema.cli.parser import command_line
 from kinema.experiments.config import CONF, compose
 from kinema.motion.statistics import Statistics
 from kinema.runs import weights
@@ -88,7 +89,7 @@ def check_kinema(words):
     elif words[0] == "figures":
         assert importlib.util.find_spec(f"kinema.experiments.figures.{words[1]}")
     elif words != ["--version"]:
-        cli._parser().parse_args(words)
+        command_line().parse_args(words)
 
 
 def reproducible(name):

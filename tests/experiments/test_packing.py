@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 
 from kinema import cli
 from kinema.atomic import write_json
+from kinema.cli.parser import command_line
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
@@ -60,7 +61,7 @@ def test_the_commands_of_a_card_make_the_same_run(run, tmp_path):
     assert "generator.train.steps=24" in train
     again = compose([word for word in train[2:] if not word.startswith("stage=")])
     assert stage_folder(again, get_stage("generator")).path == run
-    cli._parser().parse_args(packed[1:])
+    command_line().parse_args(packed[1:])
 
 
 def test_figures_are_those_of_the_run_s_own_sampling(run, micro, tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from kinema import cli
+from kinema.cli.parser import command_line
 from kinema.experiments.config import CONF
 
 BASH = """# eval "$(kinema completion bash)", or keep it where your shell looks for completions
@@ -34,7 +34,7 @@ def completion(options: argparse.Namespace) -> None:
 
 def script() -> str:
     """Return the script of bash: commands, then their options and the choices that those have."""
-    (commands,) = (a for a in cli._parser()._actions if isinstance(a, argparse._SubParsersAction))
+    (commands,) = (a for a in command_line()._actions if isinstance(a, argparse._SubParsersAction))
     tables = sorted(file.stem for group in ("table", "page") for file in (CONF / group).glob("*.yaml"))
     choices, options = [f'      "reproduce reproduce") words="{" ".join(tables)}" ;;'], []
     for name, parser in commands.choices.items():

@@ -196,8 +196,8 @@ class TextToMotion(Portable):
     ) -> list[Motion]:
         """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
 
-        `parts` ("upper", "lower", "body") regenerates that part of the body alone, in `frames` or (None) in the whole motion;
-        only methods that generate frames can. A task's name says what stays: the first half, the second, both ends, the
+        `parts` ("upper", "lower", "body": all but the root's way) regenerates that part alone, in `frames` or (None) in
+        the whole motion; only methods that generate frames can. A task's name says what stays: the first half, the second, both ends, the
         middle. Kept features come back bit-equal, and the motion stands and faces as its joints did; the root is
         integrated from the rows, so that what follows an edit moves on from where the edit ends. A kept stretch that
         fills no latent is widened to those it touches. New frames begin where kept ones end: within `blend` seconds

@@ -23,8 +23,8 @@ class Entry:
 
     `file` is seen from the manifest's folder. `length` says whether `frames` were asked for or are the model's own.
     `model` is the fingerprint of the weights and of the text encoder, whatever folder they lie in; `sampling` holds
-    every option of sampling, changed or not; `lock_feet` says whether feet that stand were held. `batch_size` counts motions that were generated together: the draws don't
-    depend on it, the last bits of the numbers do.
+    every option of sampling, changed or not; `lock_feet` says whether feet that stand were held. `batch_size` counts
+    motions that were generated together: the draws don't depend on it, the last bits of the numbers do.
     """
 
     file: str
