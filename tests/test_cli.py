@@ -214,8 +214,8 @@ def test_names_that_cannot_be_are_refused_before_anything_is_made(run, capsys):
     make = ["generate", "a person walks", "a man bows", "--run", str(run), *FAST, "--frames", "8"]
     fails(capsys, [*make, "--out", "made/{sed}.npz"], "{sed} is nothing that a motion has; it may hold {index}, {slug}")
     fails(capsys, [*make, "--seed", "1", "--out", "made/{seed}.npz"], "calls two motions made/1.npz", "add {index}")
-    fails(capsys, [*make, "--out", "made/{index}.xyz"], "no known suffix")
-    fails(capsys, [*make, "--out", "made/{index}.npz", "--chain"], "name its file without braces")
+    fails(capsys, [*make, "--out", "made/{index}.xyz"], "unknown suffix '.xyz'")
+    fails(capsys, [*make, "--out", "made/{index}.npz", "--chain"], "name one file without braces")
     Path("made").mkdir()
     Path("made/manifest.jsonl").write_text("{}\n")
     fails(capsys, [*make, "--out", "made/{index}.npz"], "made/manifest.jsonl, line 1 has 'file': it holds null")

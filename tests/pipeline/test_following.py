@@ -45,7 +45,7 @@ def test_the_command_says_how_far_from_the_way_it_is(run, tmp_path, capsys, monk
     assert "path      4.0 m: the root is " in capsys.readouterr().out
     assert len(load_npz("walk.npz").features) == 41
     assert cli.main([*make, "--chain", "--out", "walk.npz"]) == 2
-    assert "leave --chain and TEXT#FRAMES out" in capsys.readouterr().err
+    assert "leave --chain and lengths of prompts out" in capsys.readouterr().err
     (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n100,0,2\n")
     assert cli.main([*make, "--out", "walk.npz"]) == 2
     assert "give --seconds to go it faster" in capsys.readouterr().err

@@ -197,11 +197,12 @@ class TextToMotion(Portable):
         """Regenerate `frames` of each motion to its text: (start, end) ranges or prefix|suffix|inbetween|outpaint.
 
         `parts` ("upper", "lower", "body": all but the root's way) regenerates that part alone, in `frames` or (None) in
-        the whole motion; only methods that generate frames can. A task's name says what stays: the first half, the second, both ends, the
-        middle. Kept features come back bit-equal, and the motion stands and faces as its joints did; the root is
-        integrated from the rows, so that what follows an edit moves on from where the edit ends. A kept stretch that
-        fills no latent is widened to those it touches. New frames begin where kept ones end: within `blend` seconds
-        they take over what the decoder misses of those (0: not). `paste=False` gives the raw decoding, as in tables.
+        the whole motion; only methods that generate frames can. A task's name says what stays: the first half, the
+        second, both ends, the middle. Kept features come back bit-equal, and the motion stands and faces as its joints
+        did; the root is integrated from the rows, so that what follows an edit moves on from where the edit ends. A
+        kept stretch that fills no latent is widened to those it touches. New frames begin where kept ones end: within
+        `blend` seconds they take over what the decoder misses of those (0: not). `paste=False` gives the raw decoding,
+        as in tables.
         Raises ValueError if neither is given, if nothing is left to regenerate, or for a negative `blend`.
         """
         motions, texts = paired(motions, texts)
