@@ -422,3 +422,14 @@ def test_help_needs_no_torch():
 def test_the_choices_are_those_that_exist():
     assert set(parser.KINDS) == set(interop.KINDS)
     assert parser.PARTS == body_parts.PARTS
+
+
+def test_values_that_begin_with_a_dash_are_values():
+    assert cli._joined(["edit", "--hold", "-1,0", "--up", "-z", "--out", "x"]) == [
+        "edit",
+        "--hold=-1,0",
+        "--up=-z",
+        "--out",
+        "x",
+    ]
+    assert cli._joined(["edit", "--hold", "--out"]) == ["edit", "--hold", "--out"]

@@ -85,7 +85,7 @@ def test_a_course_is_that_of_around_where_nothing_moves():
 def test_ways_are_read_alike(tmp_path):
     table = np.array([[0, 0, 0], [1, 0, 90], [1, 2, 180.0]])
     (tmp_path / "a.csv").write_text(
-        "time,x,z,heading\n" + "\n".join(f"{i},{x},{z},{h}" for i, (x, z, h) in enumerate(table))
+        "time, x, z, heading\n" + "\n".join(f"{i},{x},{z},{h}" for i, (x, z, h) in enumerate(table))
     )
     np.savez(tmp_path / "a.npz", path=table, times=np.arange(3.0))
     np.save(tmp_path / "a.npy", table)
@@ -106,6 +106,8 @@ def test_ways_are_read_alike(tmp_path):
         ("a.csv", "x,z\n0,0\n1,up\n", "no number"),
         ("a.csv", "x,z\n0,0\n1,nan\n", "NaN"),
         ("a.csv", "x,z,time\n0,0,1\n1,0,1\n", "times must rise from row to row, row 2"),
+        ("a.csv", "x,z,time\n0,0,0\n1,0,1e308\n", "goes 1 m far in 1e\\+308 s; allowed: up to 10000"),
+        ("a.csv", "x,z\n0,0\n1e9,0\n", "goes 1e\\+09 m far"),
         ("a.txt", "", "no way over the floor"),
     ],
 )

@@ -67,3 +67,12 @@ def test_frames_are_read_and_wrong_ones_named():
 def test_nothing_is_left_where_every_frame_is_held(model, source):
     with pytest.raises(ValueError, match="every frame is held"):
         hold(model, source, "someone sits", range(60))
+
+
+def test_a_body_of_other_bones_stands_where_it_stood(model, source):
+    """Joints of a file are farther apart than the rows that are fitted to them say."""
+    larger = replace(source, joints=source.joints * np.float32(1.2) + np.float32([2, 0, 1]))
+    assert np.linalg.norm(larger.joints[59, 0] - larger.joints[0, 0]) > 0.3
+    made = hold(model, larger, "someone turns around", [0, 30, 59], seed=2)
+    roots = made.motion.joints[[0, 30, 59], 0]
+    np.testing.assert_allclose(roots[:, [0, 2]], larger.joints[[0, 30, 59], 0][:, [0, 2]], atol=2e-3)

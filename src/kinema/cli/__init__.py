@@ -6,6 +6,7 @@ import argparse
 import ast
 import importlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,9 @@ from typing import Any
 
 from kinema.cli.parser import EXPERIMENTS, command_line
 from kinema.signals import Interrupted, interruptible
+
+DASHED = {"--up": "-[xyz]", "--hold": r"-\d.*"}
+"""Values that begin with a dash, by option."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -49,9 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _joined(words: list[str]) -> list[str]:
     """Write `--up -z` as `--up=-z`: argparse takes what begins with a dash for an option."""
-    axes = [i for i, (word, value) in enumerate(pairwise(words)) if word == "--up" and value in ("-x", "-y", "-z")]
-    for i in reversed(axes):
-        words[i : i + 2] = [f"--up={words[i + 1]}"]
+    pairs = list(enumerate(pairwise(words)))
+    for i in reversed([i for i, (word, value) in pairs if word in DASHED and re.fullmatch(DASHED[word], value)]):
+        words[i : i + 2] = [f"{words[i]}={words[i + 1]}"]
     return words
 
 

@@ -18,7 +18,7 @@ def read_csv(path: str | Path, *needed: str, fix: str = "write it again") -> lis
 
     Raises FileNotFoundError, or ValueError naming the file, what is wrong and `fix`.
     """
-    reader = csv.DictReader(io.StringIO(read_text(path, most=MOST, fix=fix), newline=""))
+    reader = csv.DictReader(io.StringIO(read_text(path, most=MOST, fix=fix), newline=""), skipinitialspace=True)
     try:
         lacking = [name for name in needed if name not in (reader.fieldnames or ())]
         if lacking:

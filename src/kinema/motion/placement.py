@@ -44,3 +44,7 @@ class Placement:
         if not self.yaw and not any(self.step):
             return joints
         return (rotate_yaw(joints.astype(np.float64), self.yaw) + self.step).astype(joints.dtype)
+
+    def undo(self, joints: Float[np.ndarray, "t j 3"]) -> Float[np.ndarray, "t j 3"]:
+        """Move a motion back to where `apply` took it from."""
+        return rotate_yaw(joints.astype(np.float64) - self.step, -self.yaw)

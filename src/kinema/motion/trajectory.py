@@ -48,11 +48,9 @@ class Trajectory:
         return (turned + _spread(self.place)[:, None]).astype(np.float32)
 
 
-def pinned(
-    made: Float[np.ndarray, "t d"], source: Float[np.ndarray, "t d"], held: Bool[np.ndarray, " t"]
-) -> Trajectory:
-    """Lead a motion so that in held frames its root stands and faces as the source's does; between them by parts."""
-    own, goal = Trajectory.of(made), Trajectory.of(source)
+def pinned(made: Float[np.ndarray, "t d"], goal: Trajectory, held: Bool[np.ndarray, " t"]) -> Trajectory:
+    """Lead a motion so that in held frames its root stands and faces as the goal's does; between them by parts."""
+    own = Trajectory.of(made)
     here = np.flatnonzero(held)
     yaw = own.yaw + between(here, np.unwrap(goal.yaw[here] - own.yaw[here]), len(held))
     step = rotate_yaw(_spread(made[:-1, 1:3].astype(np.float64)), -yaw[1:])[:, [0, 2]]

@@ -12,6 +12,8 @@ from scipy.interpolate import PchipInterpolator
 from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.files.csv import read_csv
 
+MOST = 1e4
+"""Metres from the origin and seconds beyond which a way is taken to be written in other units."""
 FIX = (
     "write a .csv with the columns x, z and, if need be, heading and time; an .npy of (frames, 2 or 3); or an .npz of "
     "path (n, 2 or 3) and times (n)"
@@ -68,6 +70,9 @@ def read_waypoints(path: str | Path, fps: float) -> Waypoints:
         raise ValueError(
             f"{path}: times must rise from row to row, row {int((np.diff(times) <= 0).argmax()) + 2} doesn't"
         )
+    far, long = np.abs(values[:, :2]).max(), times[-1] - times[0]
+    if max(far, long) > MOST:
+        raise ValueError(f"{path} goes {far:g} m far in {long:g} s; allowed: up to {MOST:g} of metres and of seconds")
     headings = np.unwrap(np.radians(values[:, 2])) if values.shape[1] == 3 else None
     return Waypoints(times - times[0], values[:, :2], headings)
 

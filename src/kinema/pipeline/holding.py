@@ -44,12 +44,14 @@ def hold(model: TextToMotion, source: Motion, text: str, frames: Sequence[int], 
     (made,) = model.edit(source, text, [ranges], **options)
     skeleton, kept = get_skeleton(source.skeleton), made.kept
     assert kept is not None
-    goal = source.features[:, : made.features.shape[1]]
-    way = pinned(made.features, goal, kept)
+    stood = recover_joints(torch.from_numpy(source.features), skeleton).numpy()
+    placement = Placement.between(stood, source.joints, skeleton)
+    # Rows of a file of joints were fitted to bones of other lengths: where the body stood, its joints say.
+    places = placement.undo(source.joints)[:, 0, [0, 2]]
+    way = pinned(made.features, replace(Trajectory.of(source.features), place=places), kept)
     rows = np.where(kept[:, None], made.features, way.steer(made.features, skeleton))
     before, after = Trajectory.of(made.features), Trajectory.of(rows)
-    stood = recover_joints(torch.from_numpy(source.features), skeleton).numpy()
-    joints = Placement.between(stood, source.joints, skeleton).apply(way.joints(rows, skeleton))
+    joints = placement.apply(way.joints(rows, skeleton))
     meters = skeleton.meters
     return HeldEdit(
         replace(made, features=rows, joints=joints),

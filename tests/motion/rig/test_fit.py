@@ -38,6 +38,12 @@ def steps(capture: Capture) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((np.trace(turns, axis1=-2, axis2=-1) - 1) / 2, -1, 1)))
 
 
+def test_one_frame_is_fitted_as_the_same_one_held():
+    pose = posed(left_elbow=np.array([[0.0, 40, 0]]), right_knee=np.array([[50.0, 0, 0]]))
+    alone, held = (fit_rig(np.repeat(pose, n, axis=0), HUMANML3D_REST, 20) for n in (1, 5))
+    np.testing.assert_allclose(alone.rotations[0], held.rotations[2], atol=1e-6)
+
+
 def test_the_t_pose_needs_no_turns():
     fitted = fit_rig(np.tile(T_POSE, (3, 1, 1)), HUMANML3D_REST, 20)
     np.testing.assert_allclose(fitted.rotations, np.tile(np.eye(3), (3, 22, 1, 1)), atol=1e-8)

@@ -157,6 +157,8 @@ def _plane(
 def _smooth(seen: np.ndarray, weights: Float[np.ndarray, " t"]) -> np.ndarray:
     """Smooth directions of the plane (complex, times their weights)."""
     size = len(weights)
+    if size == 1:
+        return seen / weights
     bands = np.zeros((2, size))
     bands[1] = weights
     bands[1, 1:] += STIFF
