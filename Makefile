@@ -14,7 +14,7 @@ KINEMA := $(VENV)/bin/kinema
 PIP    := $(PY) -m pip install --quiet --disable-pip-version-check
 STAMP  := $(VENV)/.installed
 DOCS   := $(VENV)/.docs
-GRADIO := $(VENV)/demo
+GRADIO := $(abspath $(VENV)/demo)
 TABLES := $(patsubst conf/table/%.yaml,%,$(wildcard conf/table/*.yaml))
 PAGES  := $(patsubst conf/page/%.yaml,%,$(wildcard conf/page/*.yaml))
 # The tables that have a panel of KIT-ML, and the corpus that it is of beside DATA.
