@@ -42,6 +42,7 @@ def serve(tmp_path):
             stderr=subprocess.PIPE,
             text=True,
             env=environment,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # shells ignore it in the background
         )
         started.append(process)
         line = process.stdout.readline()
