@@ -198,8 +198,17 @@ def test_many_motions_are_named_and_each_is_made_again_from_its_line_alone(run, 
         assert first.joints.shape == second.joints.shape == (entry.frames, 22, 3)
         assert np.abs(first.joints - second.joints).max() < 1e-5  # another batch: the draws are the same, bits are not
     fails(capsys, [*again, "--set", "guidance=9"], "was made with --set guidance=", "give these")
+    for more in (["--count", "2"], ["--frames", "8"], ["--seconds", "1"]):
+        fails(capsys, [*again, *more], "--count, --frames and --seconds would make other motions")
     Path("one.jsonl").write_text(lines[0].replace(entries[0].model, "0" * 12))
     fails(capsys, again, "was made by mar (model 000000000000), and this is model", "give its --run")
+
+
+def test_what_is_interrupted_leaves_a_line_for_every_file(run, capsys):
+    Path("made/2.npz").mkdir(parents=True)  # so that the second file of the batch can't be written
+    make = ["generate", "a person walks", "--count", "3", "--run", str(run), *FAST, "--frames", "8", "--seed", "1"]
+    fails(capsys, [*make, "--out", "made/{index}.npz"], "made/2.npz")
+    assert [entry.file for entry in read_manifest("made/manifest.jsonl")] == ["1.npz"]
 
 
 def test_motions_made_one_by_one_come_again_bit_by_bit(run):

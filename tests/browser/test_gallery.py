@@ -102,3 +102,8 @@ def test_what_cannot_be_shown_is_named(files, tmp_path, capsys):
     files[2].unlink()
     fails([str(tmp_path / "made" / "manifest.jsonl"), "--out", page], "the files that the manifest names are gone")
     assert not Path(page).exists()
+
+
+def test_a_manifest_of_somebody_elses_beside_a_file_is_none(files, tmp_path):
+    (tmp_path / "manifest.jsonl").write_text('{"audio_filepath": "x.wav"}\n')
+    assert cli.main(["gallery", str(files[0]), "--out", str(tmp_path / "page.html")]) == 0

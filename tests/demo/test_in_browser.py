@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 
 import pytest
@@ -140,3 +141,12 @@ def test_the_app_of_a_space_serves_where_it_is_told_to(serve, tmp_path):
     assert re.fullmatch(r"http://0\.0\.0\.0:\d+/|http://localhost:\d+/", address)
     with urllib.request.urlopen(address.replace("0.0.0.0", "127.0.0.1")) as answer:
         assert "Kinema · text to motion" in answer.read().decode()
+
+
+def test_a_page_elsewhere_is_not_answered(server):
+    """Refuse a foreign name that was made to lead to this machine."""
+    asked = urllib.request.Request(f"{server}config", headers={"Host": "elsewhere.example"})
+    with pytest.raises(urllib.error.HTTPError, match="400"):
+        urllib.request.urlopen(asked)
+    with urllib.request.urlopen(f"{server}config") as answer:
+        assert answer.status == 200

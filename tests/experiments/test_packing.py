@@ -103,6 +103,7 @@ def test_the_strictest_licence_is_the_weights():
     assert strictest(["CMU", "CC BY-NC 4.0", "CC BY-SA 3.0"]) == "CC BY-NC 4.0"
     assert strictest(["MIT", "MIT"]) == "MIT"
     assert strictest(["CMU", "CC BY-SA 3.0"]) == strictest([]) == "that of the corpus"
+    assert strictest(["CC BY-NC 4.0", "CC BY-NC-ND 4.0"]) == "that of the corpus"  # neither binds as the other does
 
 
 @pytest.mark.parametrize(

@@ -83,3 +83,9 @@ def test_names_that_differ_by_case_alone_are_one_on_some_systems():
     asked = takes_of([Prompt("a", name="W"), Prompt("b", name="w")])
     with pytest.raises(ValueError, match="calls two motions"):
         name_files("{name}.npz", asked)
+
+
+@pytest.mark.parametrize("name", ["..", "."])
+def test_a_name_leads_to_no_other_folder(name):
+    with pytest.raises(ValueError, match="leads to another folder"):
+        name_files("out/{name}/{index}.npz", takes_of([Prompt("walk", name=name)]))

@@ -12,11 +12,12 @@ import pytest
 import torch
 import yaml
 
+from kinema import cli
 from kinema.atomic import write_json
 from kinema.files.checkpoints import read_safetensors
 from kinema.pipeline import TextToMotion, models
 from kinema.pipeline.card import Card
-from kinema.pipeline.models import DEFAULT, find_model
+from kinema.pipeline.models import DEFAULT, Found, find_model
 from kinema.pipeline.repertoire import Repertoire, threshold_between, unit
 from kinema.runs import weights
 from kinema.text.encoders import build_text_encoder
@@ -175,3 +176,29 @@ def test_models_are_found_by_name_folder_and_nothing_else(packed, tmp_path, monk
 def test_a_model_without_a_card_is_not_published(model):
     with pytest.raises(ValueError, match="has no card to publish it with: `kinema pack RUN"):
         model.push_to_hub("somebody/walker")
+
+
+def test_a_repertoire_of_nothing_is_refused(packed, repertoire):
+    replace(repertoire, owners=[], directions=repertoire.directions[:1]).write(packed)
+    with pytest.raises(ValueError, match="directions"):
+        TextToMotion.from_run(packed)
+
+
+def test_a_damaged_card_in_the_cache_hides_no_other_model(packed, tmp_path, monkeypatch, capsys):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "card.json").write_text('{"title": "x"}')
+    cached = [Found("a/b", tmp_path / "other"), Found("c/d", packed)]
+    monkeypatch.setattr("kinema.cli.models.cached", lambda: cached)
+    assert cli.main(["models"]) == 0
+    said = capsys.readouterr()
+    assert "c/d" in said.out
+    assert "a/b is left out" in said.err
+
+
+def test_a_card_writes_no_lines_of_its_own(packed, capsys):
+    card = json.loads((packed / "card.json").read_text())
+    (packed / "card.json").write_text(json.dumps(card | {"citation": "A.\nlicence   MIT"}))
+    assert cli.main(["models", str(packed)]) == 0
+    assert [line for line in capsys.readouterr().out.splitlines() if line.startswith("licence")] == [
+        f"licence   {CARD.licence}"
+    ]

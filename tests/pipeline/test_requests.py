@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from kinema.pipeline.requests import takes_of
 from kinema.seeds import request_seeds
+from kinema.text.manifest import Entry
 from kinema.text.prompts import Prompt
 
 WALK, BOW = Prompt("walk"), Prompt("bow", frames=40)
@@ -40,3 +43,9 @@ def test_without_a_seed_each_prompt_draws_its_own():
 def test_a_prompt_says_its_length_or_takes_the_usual_one(prompt, frames):
     (take,) = takes_of([prompt])
     assert take.frames(60, 20.0) == frames
+
+
+def test_each_line_of_a_manifest_is_a_motion_of_its_own():
+    entry = Entry("a.npz", "walk", 7, 40, "asked", 20.0, 1, None, "humanml3d", "r", "0", "M", {}, False, 1, "cpu", {})
+    lines = [Prompt("walk", 40, seed=7, entry=replace(entry, file=file)) for file in ("a.npz", "a.html")]
+    assert [take.seed for take in takes_of([*lines, Prompt("walk", 40, seed=7)])] == [7, 7, 7]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+import re
+from dataclasses import asdict, replace
 
 import pytest
 
@@ -50,3 +52,26 @@ def test_a_damaged_line_is_named(tmp_path):
     path.write_text(path.read_text() + '{"file": "a.npz"')
     with pytest.raises(ValueError, match=r"manifest.jsonl, line 2 is damaged .* take the line out"):
         add(tmp_path, [BOW])
+
+
+def test_separators_inside_of_a_text_end_no_line(tmp_path):
+    walk = replace(WALK, text="a person\u2028walks\x85on\x0cand on")
+    path = add(tmp_path, [walk, BOW])
+    assert read_manifest(path) == [walk, BOW]
+    assert [prompt.text for prompt in read_prompts(path)] == [walk.text, "bow"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"name": ".."}, 'line 1: name=".."'),
+        ({"name": "a\x1b[2J"}, "line 1: name="),
+        ({"seed": -3}, "line 1: seed=-3"),
+        ({"length": "bogus"}, "line 1: length=bogus"),
+        ({"frames": 0}, "line 1: frames=0"),
+    ],
+)
+def test_a_line_of_somebody_elses_is_checked(tmp_path, changed, message):
+    (tmp_path / "manifest.jsonl").write_text(json.dumps(asdict(WALK) | changed) + "\n")
+    with pytest.raises(ValueError, match=re.escape(message)):
+        read_prompts(tmp_path / "manifest.jsonl")

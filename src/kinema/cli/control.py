@@ -52,7 +52,7 @@ def follow_path(model: TextToMotion, asked: list[Take], options: argparse.Namesp
             "--seconds to go it faster, or a shorter path"
         )
     texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
-    made = follow(model, texts, way, count, seed=seeds, **options.set)
+    made = follow(model, texts, way, count, seed=seeds, batch_size=options.batch_size, **options.set)
     how = "known to the network" if made.strides is None else f"strides x {', '.join(f'{s:.2f}' for s in made.strides)}"
     print(
         f"path      {way.length:.1f} m: the root is {100 * made.away:.1f} cm from it on average, frame by frame; {how}"

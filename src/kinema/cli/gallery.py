@@ -78,7 +78,10 @@ def _noted(file: Path) -> manifest.Entry | None:
     """Look a file up in the nearest manifest at or above its folder."""
     for folder in file.parents[:3]:
         if (folder / manifest.NAME).is_file():
-            return _manifest(folder).get(file.relative_to(folder).as_posix())
+            try:
+                return _manifest(folder).get(file.relative_to(folder).as_posix())
+            except ValueError:  # somebody else's file of that name, which nobody asked for
+                return None
     return None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from kinema.cli.runs import aligned
@@ -32,7 +33,11 @@ def models(options: argparse.Namespace) -> None:
     rows = [("model", "method", "corpus", "size", "licence", "where")]
     for where, found in (("this package", shipped()), ("hub cache", cached())):
         for one in found:
-            card = one.card
+            try:
+                card = one.card
+            except ValueError as error:  # another program's card.json, or a damaged one
+                print(printable(f"note: {one.name} is left out: {error}"), file=sys.stderr)
+                continue
             corpus = card.corpus.partition(" (")[0]
             rows.append((one.name, card.method, corpus, f"{one.size / 1e6:.1f} MB", card.licence, where))
     print(printable(aligned(rows)) if len(rows) > 1 else "none; `kinema pack RUN --out FOLDER` makes one")
@@ -51,7 +56,8 @@ def _described(model: Found) -> str:
     ]
     if known is not None:
         lines += [f"actions   {_counted(known.clips)}", f"styles    {_counted(known.styles)}"]
-    return "\n".join([*lines, f"card      {model.folder / 'README.md'}"])
+    # A field is one line: a downloaded card must not write lines of its own.
+    return "\n".join(["  ".join(line.splitlines()) for line in lines] + [f"card      {model.folder / 'README.md'}"])
 
 
 def _counted(counts: dict[str, int]) -> str:

@@ -48,10 +48,12 @@ class Batch:
             motions = model.generate(texts, counts, seed=seeds, batch_size=options.batch_size, **options.set)
             motions = stand(motions) if options.lock_feet else motions
             entries = []
-            for take, motion, file, count in zip(takes, motions, self.files[part], counts, strict=True):
-                export.save(motion, file)
-                entries.append(self._entry(take, motion, file, asked=count is not None, made_with=made_with))
-            path = manifest.add(self.folder, entries)
+            try:
+                for take, motion, file, count in zip(takes, motions, self.files[part], counts, strict=True):
+                    export.save(motion, file)
+                    entries.append(self._entry(take, motion, file, asked=count is not None, made_with=made_with))
+            finally:
+                path = manifest.add(self.folder, entries) if entries else self.folder / manifest.NAME
             print(printable(f"made      {takes[-1].index} of {len(self.asked)}: {self.files[part][-1]}"))
         print(printable(f"wrote {len(self.files)} motions, and {path} that says how to make each again"))
 
@@ -75,6 +77,10 @@ def check_made(asked: Sequence[Take], model: TextToMotion, options: argparse.Nam
     entries = [take.prompt.entry for take in asked if take.prompt.entry is not None]
     if not entries:
         return
+    if options.count > 1 or options.frames is not None or options.seconds is not None:
+        raise ValueError(
+            "--count, --frames and --seconds would make other motions than a manifest says: leave them out"
+        )
     own, sampling = fingerprint(model), sampling_of(model, options.set)
     for entry in entries:
         if entry.model != own:

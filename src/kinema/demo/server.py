@@ -12,6 +12,7 @@ from typing import Any
 from kinema.demo.studio import Studio
 from kinema.pipeline import TextToMotion
 
+LOCAL = ("127.0.0.1", "localhost")
 MOST_BYTES = 1 << 20
 """Bytes of a request; one that is fair needs a thousandth."""
 
@@ -39,22 +40,26 @@ def serve(
 
         blocks = build(Studio(model), title)
         try:
-            _, local, public = blocks.launch(server_name=host, server_port=port, share=share, **_launch())
+            alone = not share and (host or os.environ.get("GRADIO_SERVER_NAME", LOCAL[0])) in LOCAL
+            _, local, public = blocks.launch(server_name=host, server_port=port, share=share, **_launch(alone))
             print(f"open {public or local} (Ctrl+C ends it)", flush=True)
             threading.Event().wait()
         finally:
             blocks.close(verbose=False)
 
 
-def _launch() -> dict[str, Any]:
-    """Return what gradio is told of the page's looks and of what it leaves out."""
+def _launch(alone: bool) -> dict[str, Any]:
+    """Return what gradio is told of the page's looks, of what it leaves out, and (`alone`) whom it answers."""
     from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
 
     from kinema.demo.views import asset, theme
 
     looks = {"theme": theme(), "css": asset("demo.css"), "head": f"<script>{asset('head.js')}</script>"}
     off = dict.fromkeys(("run_history", "ssr_mode", "pwa", "mcp_server", "enable_monitoring"), False)
-    bounds = {"max_file_size": 1, "app_kwargs": {"middleware": [Middleware(Bounded)]}}
+    # A page elsewhere whose name is made to lead here is not answered.
+    known = [Middleware(TrustedHostMiddleware, allowed_hosts=list(LOCAL))] if alone else []
+    bounds = {"max_file_size": 1, "app_kwargs": {"middleware": [*known, Middleware(Bounded)]}}
     return {**looks, **off, **bounds, "footer_links": [], "quiet": True, "prevent_thread_lock": True}
 
 

@@ -27,7 +27,7 @@ from kinema.runs.versions import versions
 SCORES = {"r1": "R@1", "r3": "R@3", "fid": "FID", "clip_score": "CLIP-score", "foot_skating": "foot skating"}
 GIVEN = ("representation", "text", "data")
 """What of a configuration all stages share."""
-NOT_SAID = ("data.source", "data.workers", "data.paper")
+NOT_SAID = ("data.source", "data.workers", "data.paper", "text.path")
 
 
 def pack(run: str | Path, out: str | Path, *, half: bool, licence: str | None, replace: bool = False) -> TextToMotion:
@@ -120,12 +120,10 @@ def figures(folder: Path) -> list[dict[str, Any]]:
 
 
 def strictest(licences: list[str]) -> str:
-    """Return the licence that binds most of those of the sources: a non-commercial one, else the only one."""
-    kinds = sorted(set(licences))
-    bound = [one for one in kinds if "NC" in one.upper().replace("-", " ").split()] or (
-        kinds if len(kinds) == 1 else []
-    )
-    return bound[0] if bound else UNKNOWN
+    """Return the licence that binds most of those of the sources: the one non-commercial, else the only one."""
+    kinds = set(licences)
+    bound = {one for one in kinds if "NC" in one.upper().replace("-", " ").split()} or kinds
+    return bound.pop() if len(bound) == 1 else UNKNOWN
 
 
 def _figure(one: Listed) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +31,9 @@ def scan_lines(file: Path) -> list[Line]:
             content, encoding = content[len(mark) :], name
             break
     try:
-        lines = [Line(i, text) for i, text in enumerate(content.decode(encoding).splitlines(), start=1)]
+        # Not str.splitlines: a JSON string may hold U+2028 and other separators that end no line of a file.
+        found = io.StringIO(content.decode(encoding), newline=None)
+        lines = [Line(i, text.removesuffix("\n")) for i, text in enumerate(found, start=1)]
     except UnicodeDecodeError:
         if encoding != "utf-8":
             return [Line(1, "", f"the file begins as {encoding.upper()} and goes on as something else; {FIX}")]

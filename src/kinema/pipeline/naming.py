@@ -41,6 +41,8 @@ def name_files(out: str, asked: Sequence[Take]) -> list[Path]:
     files = []
     for take in asked:
         file = "".join(before + _written(field, spec, take, out) for before, field, spec in pieces)
+        if {".", ".."} & set(file.removeprefix(pieces[0][0]).split("/")):
+            raise ValueError(f"--out {out} would call a motion {file}, which leads to another folder")
         other = found.setdefault(file.casefold(), take)  # some file systems take both cases for one
         if other is not take:
             raise ValueError(

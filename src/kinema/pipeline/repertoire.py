@@ -78,7 +78,7 @@ class Repertoire:
         tensors, header = read_safetensors(file, "directions", fix=FIX)
         known = parse_json(header.get("kinema", ""), file, HEADER, fix=FIX)
         directions, owners = tensors["directions"].float(), [str(owner) for owner in known["owners"]]
-        if directions.ndim != 2 or len(directions) != len(owners) or not directions.isfinite().all():
+        if directions.ndim != 2 or not len(directions) == len(owners) > 0 or not directions.isfinite().all():
             raise refuse(file, f"holds directions {tuple(directions.shape)} of {len(owners)} actions", FIX)
         return cls(directions, owners, known["clips"], known["styles"], float(known["threshold"]))
 

@@ -10,7 +10,7 @@ from kinema.options import Count, check_value
 from kinema.seeds import request_seeds
 from kinema.text.prompts import Prompt
 
-Kind = tuple[str, int | None, int | None, float | None]
+Kind = tuple[str, int | None, int | None, float | None, str | None]
 
 
 @dataclass(frozen=True)
@@ -48,4 +48,6 @@ def takes_of(prompts: Sequence[Prompt], *, count: int = 1, seed: int | None = No
 
 def _kind(prompt: Prompt, seed: int | None) -> Kind:
     """Tell apart what would be one and the same motion."""
-    return prompt.text, seed if prompt.seed is None else prompt.seed, prompt.frames, prompt.seconds
+    # Every line of a manifest is a motion of its own: two may be of one text and seed, in different formats.
+    file = None if prompt.entry is None else prompt.entry.file
+    return prompt.text, seed if prompt.seed is None else prompt.seed, prompt.frames, prompt.seconds, file

@@ -12,8 +12,10 @@ from kinema.atomic import write_text
 from kinema.files.json import parse_json
 from kinema.files.lines import read_lines
 from kinema.locks import hold
+from kinema.options import check_value
 
 NAME = "manifest.jsonl"
+Length = Literal["asked", "model"]
 FIX = "take the line out, or move the file away"
 
 
@@ -31,7 +33,7 @@ class Entry:
     text: str
     seed: int
     frames: int
-    length: Literal["asked", "model"]
+    length: Length
     fps: float
     take: int
     name: str | None
@@ -60,6 +62,7 @@ KINDS = {name: _written(annotation) for name, annotation in get_type_hints(Entry
 def read_entry(line: str, where: str) -> Entry:
     """Read one line; raises ValueError naming what is wrong."""
     row = parse_json(line, where, KINDS, fix=FIX)
+    check_value(row["length"], Length, f"{where}: length")
     return Entry(**{key: row.get(key) for key in KINDS})
 
 

@@ -113,14 +113,17 @@ def _from_jsonl(path: Path, lines: list[Line]) -> Iterator[Prompt]:
         if not isinstance(row, dict):
             raise ValueError(f"{where} is no object; {EMPTY['.jsonl']}")
         if "file" in row:
-            yield _again(read_entry(line.text, where))
+            yield _again(read_entry(line.text, where), where)
             continue
         _known(list(row), where)
         yield _prompt(row, where)
 
 
-def _again(entry: Entry) -> Prompt:
+def _again(entry: Entry, where: str) -> Prompt:
     """Return the prompt that gives a manifest's motion again; a length that was the model's own is left to it."""
+    for key, value in {"frames": entry.frames, "seed": entry.seed, "name": entry.name}.items():
+        if value is not None:
+            check_value(value, RULES[key], f"{where}: {key}")
     frames = entry.frames if entry.length == "asked" else None
     return Prompt(entry.text, frames, seed=entry.seed, name=entry.name, entry=entry)
 
