@@ -62,8 +62,9 @@ KINDS = {name: _written(annotation) for name, annotation in get_type_hints(Entry
 def read_entry(line: str, where: str) -> Entry:
     """Read one line; raises ValueError naming what is wrong."""
     row = parse_json(line, where, KINDS, fix=FIX)
-    check_value(row["length"], Length, f"{where}: length")
-    return Entry(**{key: row.get(key) for key in KINDS})
+    entry = Entry(**{key: row.get(key) for key in KINDS})
+    check_value(entry.length, Length, f"{where}: length")
+    return entry
 
 
 def read_manifest(path: str | Path) -> list[Entry]:
