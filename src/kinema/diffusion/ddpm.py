@@ -73,7 +73,7 @@ class DDPM(nn.Module):
         """Return the squared error of the prediction per row, averaged over its dims."""
         return self.errors(predict, x1, time, noise).flatten(1).mean(dim=1)
 
-    def resolve(self, solver: str | None, steps: int | str | None) -> tuple[str, Schedule]:
+    def resolve(self, solver: str | None, steps: int | str | None, grid: str = "uniform") -> tuple[str, Schedule]:
         """Check a choice of solver and steps, fill in the defaults and respace the schedule.
 
         A model of epsilon multiplies its error by sigma / signal, and an ODE solver adds no noise to forget it in: a
@@ -83,6 +83,8 @@ class DDPM(nn.Module):
         solver = solver or "ancestral"
         if solver not in SOLVERS:
             raise ValueError(f"solver {solver!r} is unknown to DDPM; choose one of {', '.join(SOLVERS)}")
+        if grid != "uniform":
+            raise ValueError(f"grid {grid!r} is a flow's; DDPM takes the steps of its schedule: use grid 'uniform'")
         exposed = solver in ODE_SOLVERS and PREDICTIONS[self.prediction].amplifies
         schedule = self.schedule
         if exposed and str(steps).isdecimal():
@@ -99,6 +101,7 @@ class DDPM(nn.Module):
         *,
         solver: str | None = None,
         steps: int | str | None = None,
+        grid: str = "uniform",
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
         known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,
@@ -109,7 +112,7 @@ class DDPM(nn.Module):
         step, which an undertrained epsilon model needs: the first step of the cosine schedule multiplies its error
         by 32. `known` (values, mask) replaces the estimate where the mask is True (MDM §5).
         """
-        solver, schedule = self.resolve(solver, steps)
+        solver, schedule = self.resolve(solver, steps, grid)
         if solver != "ancestral" and temperature != 1:
             raise ValueError(f"temperature {temperature} has no effect on {solver!r}; use 1.0 or solver 'ancestral'")
 

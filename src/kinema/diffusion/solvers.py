@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -41,24 +41,30 @@ def rk4(velocity: Velocity, x: Tensor, t: float, dt: float) -> Tensor:
 STEPS = {"euler": euler, "midpoint": midpoint, "heun": heun, "rk4": rk4}
 
 
-def integrate(predict: Predict, x: Tensor, *, solver: str, steps: int) -> Tensor:
-    """Take `steps` equal steps: no row's result depends on the other rows."""
+def integrate(
+    predict: Predict, x: Tensor, *, times: Sequence[float], solver: str = "euler", lands: bool = False
+) -> Tensor:
+    """Step from each time to the next: no row's result depends on the other rows.
+
+    `lands`: the last step is Euler's, for a velocity that is not defined at its end.
+    """
 
     def velocity(x: Tensor, t: float) -> Tensor:
         return predict(x, x.new_full((1,), t))
 
-    step = partial(STEPS[solver], velocity)
-    for i in range(steps):
-        x = step(x, i / steps, 1 / steps)
+    last = len(times) - 2
+    for i, (start, end) in enumerate(pairwise(times)):
+        step = euler if lands and i == last else STEPS[solver]
+        x = step(velocity, x, start, end - start)
     return x
 
 
-def dopri5(predict: Predict, x: Tensor, *, rtol: float = 1e-3, atol: float = 1e-6) -> Tensor:
-    """Integrate by torchdiffeq's adaptive Dormand-Prince 5(4), as published (MARDM §5).
+def dopri5(predict: Predict, x: Tensor, *, end: float = 1.0, rtol: float = 1e-3, atol: float = 1e-6) -> Tensor:
+    """Integrate up to `end` by torchdiffeq's adaptive Dormand-Prince 5(4), as published (MARDM §5).
 
     The step control takes the RMS over all rows, so a row's result depends on its neighbours by up to the tolerance.
     """
     from torchdiffeq import odeint
 
-    span = torch.tensor([0.0, 1.0], device=x.device, dtype=x.dtype)
+    span = torch.tensor([0.0, end], device=x.device, dtype=x.dtype)
     return odeint(lambda t, x: predict(x, t.reshape(1)), x, span, rtol=rtol, atol=atol, method="dopri5")[-1]

@@ -64,7 +64,7 @@ class SequenceDiffusion(Generator):
     def check_sampling(self, sampling: DiffusionSampling) -> None:
         """Refuse a solver of another process, and guidance that training gave no ground."""
         super().check_sampling(sampling)
-        self.process.resolve(sampling.solver, sampling.solver_steps)
+        self.process.resolve(sampling.solver, sampling.solver_steps, sampling.solver_grid)
         if sampling.guidance != 1 and not self.condition_drop:
             raise ValueError(
                 f"sampling.guidance is {sampling.guidance}, but condition_drop=0 gave this model no empty text to be "
@@ -138,6 +138,7 @@ class SequenceDiffusion(Generator):
                 noise or sequence_noise(seeds, drawn, self.width, device),
                 solver=sampling.solver,
                 steps=sampling.solver_steps,
+                grid=sampling.solver_grid,
                 temperature=sampling.temperature,
                 known=None if kept is None else (kept.values, kept.mask),
             )

@@ -75,7 +75,7 @@ class MARDM(Generator):
         self.mask_length, self.mask_ratio = mask_length, mask_ratio
         self.corruption = {"noise_share": noise_share, "mask_share": mask_share}
         self.sampling = sampling or MarSampling()
-        process.resolve(self.sampling.solver, self.sampling.solver_steps)
+        process.resolve(self.sampling.solver, self.sampling.solver_steps, self.sampling.solver_grid)
         self.process = process
         self.mask_latent = nn.Parameter(torch.zeros(latent_dim))
         self.input_projection = nn.Linear(latent_dim, width)
@@ -109,7 +109,7 @@ class MARDM(Generator):
     def check_sampling(self, sampling: MarSampling) -> None:
         """Refuse a solver of another process too."""
         super().check_sampling(sampling)
-        self.process.resolve(sampling.solver, sampling.solver_steps)
+        self.process.resolve(sampling.solver, sampling.solver_steps, sampling.solver_grid)
 
     def set_latent_range(self, minimum: Float[Tensor, " c"], maximum: Float[Tensor, " c"]) -> None:
         """Keep the training latents' range per channel, for `clip_latents`; call it before training."""
@@ -228,6 +228,7 @@ class MARDM(Generator):
                     draws.noise(step.index, step.sampled),
                     solver=sampling.solver,
                     steps=sampling.solver_steps,
+                    grid=sampling.solver_grid,
                     temperature=sampling.temperature,
                     clip=clip,
                 )

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.decoding.unmasking import UnmaskingStep, plan_unmasking
-from kinema.diffusion.choices import Solver, SolverSteps
+from kinema.diffusion.choices import Solver, SolverGrid, SolverSteps
 from kinema.generators.values import check_known
 from kinema.masking import cosine_counts, lowest, masked_count
 from kinema.options import FullShare, NonNegative, Options, Steps
@@ -22,9 +22,9 @@ from kinema.types import Known, Latents, LatentSpace, frame_mask
 class MarSampling(Options):
     """Choose how latents are sampled.
 
-    `solver` and `solver_steps` choose how the diffusion process samples (None: its defaults). `resample_all` samples
-    every masked position at every step instead of those that are kept (as published: 11 times the work, the same
-    distribution). `clip_latents` holds predicted latents inside the training latents' range. `pseudo_reorder` sorts
+    `solver` and `solver_steps` choose how the diffusion process samples (None: its defaults), `solver_grid` where a
+    flow's steps lie. `resample_all` samples every masked position at every step instead of those that are kept (as
+    published: 11 times the work, the same distribution). `clip_latents` holds predicted latents inside the training latents' range. `pseudo_reorder` sorts
     known positions first inside the transformer (paper Fig. 3c; no effect but rounding). `edit_fraction` makes an edit
     mask-free (published: 0.16): of the positions that `known.mask` frees only this share, chosen by the seed, is
     regenerated, all at once.
@@ -34,6 +34,7 @@ class MarSampling(Options):
     guidance: NonNegative = 4.5
     solver: Solver | None = None
     solver_steps: SolverSteps | None = None
+    solver_grid: SolverGrid = "uniform"
     resample_all: bool = False
     temperature: NonNegative = 1.0
     clip_latents: bool = False
