@@ -141,8 +141,8 @@ def leading_to(values: Float[Tensor, "n *d"], mask: Bool[Tensor, "n *d"], predic
 def score(x: Tensor, velocity: Tensor, t: float, source_scale: float = 1.0) -> Tensor:
     """Derive the score of x_t from the velocity of the linear path.
 
-    With x = t x1 + (1-t) x0 and v = E[x1 - x0 | x]: E[x0 | x] = x - t v, and the score of a variable with Gaussian noise
-    of deviation s is -E[x0 | x] / ((1-t) s^2) = (t v - x) / ((1-t) s^2).
+    With x = t x1 + (1-t) x0 and v = E[x1 - x0 | x]: E[x0 | x] = x - t v, and the score of a variable with Gaussian
+    noise of deviation s is -E[x0 | x] / ((1-t) s^2) = (t v - x) / ((1-t) s^2).
     """
     return (t * velocity - x) / ((1 - t) * source_scale**2)
 

@@ -156,13 +156,13 @@ class SequenceDiffusion(Generator):
     ) -> Predict:
         """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
         condition, seen = self.denoiser.read(text)
-        empty = None if sampling.guidance == 1 else self.denoiser.read(self.without_text(text))[0]
+        empty, unseen = (None, None) if sampling.guidance == 1 else self.denoiser.read(self.without_text(text))
         scale = 1.0 if empty is None else sampling.weights().along(self.process.progress)
 
         def denoise(x: Tensor, time: Tensor, condition: Tensor) -> Tensor:
             copies = len(condition) // len(text.pooled)
-            masks = (None if mask is None else mask.repeat(copies, 1) for mask in (seen, shown))
-            return self.denoiser(x, time, condition, *masks)
+            words = torch.cat((seen, unseen)) if copies == 2 and seen is not None and unseen is not None else seen
+            return self.denoiser(x, time, condition, words, None if shown is None else shown.repeat(copies, 1))
 
         return guided(denoise, condition, empty, scale)
 

@@ -24,10 +24,10 @@ class MarSampling(Options):
 
     `solver` and `solver_steps` choose how the diffusion process samples (None: its defaults), `solver_grid` where a
     flow's steps lie. `resample_all` samples every masked position at every step instead of those that are kept (as
-    published: 11 times the work, the same distribution). `clip_latents` holds predicted latents inside the training latents' range. `pseudo_reorder` sorts
-    known positions first inside the transformer (paper Fig. 3c; no effect but rounding). `edit_fraction` makes an edit
-    mask-free (published: 0.16): of the positions that `known.mask` frees only this share, chosen by the seed, is
-    regenerated, all at once.
+    published: 11 times the work, the same distribution). `clip_latents` holds predicted latents inside the training
+    latents' range. `pseudo_reorder` sorts known positions first inside the transformer (paper Fig. 3c; no effect but
+    rounding). `edit_fraction` makes an edit mask-free (published: 0.16): of the positions that `known.mask` frees only
+    this share, chosen by the seed, is regenerated, all at once.
     """
 
     steps: Steps = 18

@@ -1,0 +1,6 @@
+"""MSFlow: a flow directly in motion space, under the words of a text."""
+
+from kinema.generators.frames.sampling import FrameSampling
+from kinema.generators.msflow.model import MSFlow
+
+__all__ = ["FrameSampling", "MSFlow"]

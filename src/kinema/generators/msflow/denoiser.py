@@ -1,0 +1,136 @@
+"""Denoise motion with MSFlow's two streams, motion and words (FRONTIER §2.2)."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from kinema.generators.frames.denoiser import Denoiser, Read
+from kinema.generators.msflow.masks import MASKS, sees
+from kinema.generators.msflow.refiner import Refiner, masked_mean
+from kinema.nn.embeddings import timestep_embedding
+from kinema.nn.streams import CrossBlock, JointBlock
+from kinema.types import TextFeatures
+
+TEXT_ATTENTION = ("joint", "cross")
+FREQUENCIES = 256
+
+
+class MsflowDenoiser(Denoiser):
+    """Transformer over `patch` frames a token, under the words of the text and the time.
+
+    `text_attention`: "joint" lets two streams attend to each other, "cross" lets motion attend to the words. Before
+    that, `refiner_layers` let the words attend to each other under the time. `mask` "causal" hides later blocks of
+    `mask_block` tokens. `null_tokens` learnt tokens stand in front of the words (0: none), so that a text without words
+    is these alone, whatever its length was. `shared_modulation` reads shifts, scales and gates once for all blocks.
+    """
+
+    def __init__(
+        self,
+        frame_dim: int,
+        *,
+        token_dim: int,
+        width: int = 512,
+        feedforward: int = 1024,
+        layers: int = 8,
+        heads: int = 4,
+        patch: int = 1,
+        mask: str = "bidirectional",
+        mask_block: int = 1,
+        text_attention: str = "joint",
+        refiner_layers: int = 2,
+        null_tokens: int = 0,
+        shared_modulation: bool = False,
+    ) -> None:
+        super().__init__()
+        self.patch, self.causal, self.mask_block = patch, mask == MASKS[1], mask_block
+        hidden = 2 * feedforward // 3
+        self.motion_in = nn.Linear(patch * frame_dim, width)
+        self.motion_out = nn.Linear(width, patch * frame_dim)
+        self.text_in = nn.Linear(token_dim, width)
+        self.null = nn.Parameter(torch.zeros(null_tokens, width))
+        self.refiner = Refiner(width, heads, refiner_layers) if refiner_layers else None
+        self.time = nn.Sequential(nn.Linear(FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
+        self.pooled = nn.Linear(width, width)
+        self.joint = text_attention == TEXT_ATTENTION[0]
+        self.modulation = nn.Linear(width, 6 * width) if shared_modulation else None
+        self.blocks = nn.ModuleList(
+            JointBlock(width, heads, hidden, shared=shared_modulation)
+            if self.joint
+            else CrossBlock(width, heads, hidden, cross=True, shared=shared_modulation)
+            for _ in range(layers)
+        )
+        self.reset_parameters()
+
+    def reset_parameters(self) -> None:
+        """Initialise: Xavier-uniform Linears, N(0, .02) time and null tokens, zero modulations, gates and output."""
+        for module in self.modules():
+            if isinstance(module, nn.Linear):
+                nn.init.xavier_uniform_(module.weight)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+        for layer in self.time:
+            if isinstance(layer, nn.Linear):
+                nn.init.normal_(layer.weight, std=0.02)
+        nn.init.normal_(self.null, std=0.02)
+        for block in self.blocks:
+            block.close()
+        if self.refiner is not None:
+            self.refiner.reset_parameters()
+        for last in (self.motion_out, self.modulation):
+            if last is not None:
+                nn.init.zeros_(last.weight)
+
+    def read(self, text: TextFeatures) -> Read:
+        """Project each word's features; learnt tokens, if there are any, stand in front of them."""
+        if text.tokens is None or text.token_mask is None:
+            raise ValueError(
+                "this denoiser reads words, but the text features hold the pooled vector alone; encode the text with "
+                "token features (reads_tokens: true)"
+            )
+        words, mask = self.text_in(text.tokens), text.token_mask
+        if not len(self.null):
+            return words, mask
+        front = self.null.to(words.dtype).expand(len(words), -1, -1)
+        return torch.cat((front, words), dim=1), F.pad(mask, (len(self.null), 0), value=True)
+
+    def forward(
+        self,
+        x: Float[Tensor, "b t d"],
+        time: Tensor,
+        condition: Float[Tensor, "b l w"],
+        seen: Bool[Tensor, "b l"] | None = None,
+        real: Bool[Tensor, "b t"] | None = None,
+    ) -> Float[Tensor, "b t d"]:
+        """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding."""
+        frames = x.shape[1]
+        words = torch.ones_like(condition[..., 0], dtype=torch.bool) if seen is None else seen
+        shown = torch.ones_like(x[..., 0], dtype=torch.bool) if real is None else real
+        # A token of several frames may hold padding beside the motion's last frames.
+        x = F.pad(x * shown[..., None], (0, 0, 0, -frames % self.patch))
+        motion = self.motion_in(x.unflatten(1, (-1, self.patch)).flatten(2))
+        text = condition if self.refiner is None else self.refiner(condition, time, words)
+        c = F.silu(self._embed_time(time) + self.pooled(masked_mean(text, words)))
+        c = c if self.modulation is None else self.modulation(c)
+        motion = self._attend(motion, text, c, words, shown[:, :: self.patch])
+        return self.motion_out(motion).unflatten(2, (self.patch, -1)).flatten(1, 2)[:, :frames]
+
+    def _attend(self, motion: Tensor, text: Tensor, c: Tensor, words: Tensor, shown: Tensor) -> Tensor:
+        positions = torch.arange(motion.shape[1], device=motion.device)
+        mask = sees(words, shown, causal=self.causal, block=self.mask_block)
+        if self.joint:
+            for block in self.blocks:
+                motion, text = block(motion, text, c, positions, mask)
+            return motion
+        size = text.shape[1]
+        own = mask[:, :, size:, size:] if self.causal else mask[..., size:]
+        for block in self.blocks:
+            motion = block(motion, c, positions, own, text, mask[:, :, -1:, :size])
+        return motion
+
+    def _embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
+        """Embed a single time (one row, broadcast later) or one time per row, unscaled."""
+        embedded = timestep_embedding(time.reshape(-1), FREQUENCIES)
+        return self.time(embedded.to(self.motion_in.weight.dtype))
