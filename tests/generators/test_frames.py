@@ -1,4 +1,4 @@
-"""Test diffusion on frames (MDM, MotionDiffuse): loss, generation, edits of frames and of features, invariances."""
+"""Test diffusion on frames (MDM, MotionDiffuse, MSFlow): loss, generation, edits and invariances."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.frames.training import FrameDraws
 from kinema.generators.mdm import MDM
 from kinema.generators.motiondiffuse import MotionDiffuse
+from kinema.generators.msflow import MSFlow
 from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
@@ -32,6 +33,14 @@ def motiondiffuse(**options) -> MotionDiffuse:
     return MotionDiffuse(process=DDPM(steps=6), **(SMALL | WORDS | options))
 
 
+def msflow(**options) -> MSFlow:
+    sizes = {name: value for name, value in SMALL.items() if name != "dropout"}
+    few = {"token_dim": 7, "sampling": FrameSampling(guidance=2.5, solver="heun", solver_steps=4)}
+    return MSFlow(process=Flow(prediction="x1", source_scale=5.0), **(sizes | few | options))
+
+
+GROUPED = {"patch": 4, "mask": "causal", "mask_block": 2, "null_tokens": 2, "shared_modulation": True}
+
 MODELS = {
     "mdm": mdm,
     "epsilon": lambda **options: mdm(DDPM(steps=6), **options),
@@ -39,6 +48,9 @@ MODELS = {
     "unmasked": lambda **options: mdm(mask_frames=False, **options),
     "decoder": lambda **options: mdm(**(DECODER | options)),
     "motiondiffuse": motiondiffuse,
+    "msflow": msflow,
+    "msflow_groups": lambda **options: msflow(**(GROUPED | options)),
+    "msflow_cross": lambda **options: msflow(text_attention="cross", refiner_layers=0, **options),
     "softmax": lambda **options: motiondiffuse(attention="softmax", **options),
 }
 

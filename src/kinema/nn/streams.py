@@ -14,7 +14,9 @@ from kinema.nn.rotary import rotary
 from kinema.nn.swiglu import SwiGLU
 
 Heads = tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h n d"], Float[Tensor, "b h n d"]]
-"""Queries, keys and values."""
+"""Queries, keys and values of one stream."""
+Across = tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h l d"], Float[Tensor, "b h l d"]]
+"""Queries of one stream, keys and values of another."""
 
 
 class Projections(nn.Module):
@@ -43,7 +45,7 @@ class Projections(nn.Module):
             query, key = rotary(query, positions, base), rotary(key, positions, base)
         return query, key, value
 
-    def across(self, x: Float[Tensor, "b n w"], context: Float[Tensor, "b l w"]) -> Heads:
+    def across(self, x: Float[Tensor, "b n w"], context: Float[Tensor, "b l w"]) -> Across:
         """Make queries of `x`, keys and values of the context."""
         (query,), (key, value) = self._heads(x, 0, 1), self._heads(context, 1, 3)
         return self.query_norm(query), self.key_norm(key), value
@@ -74,7 +76,7 @@ class Modulation(nn.Module):
 
     def forward(self, condition: Float[Tensor, "b m"]) -> Sequence[Float[Tensor, "b 1 w"]]:
         """Return `count` vectors; `condition` is activated, or already the shared table's."""
-        values = condition + self.offset if self.read is None else self.read(condition)
+        values = condition[:, : len(self.offset)] + self.offset if self.offset is not None else self.read(condition)
         return values[:, None].chunk(self.count, dim=-1)
 
     def close(self) -> None:
@@ -95,14 +97,49 @@ class Stream(nn.Module):
         self.mlp = SwiGLU(width, hidden)
         self.modulation = Modulation(width, 6, shared)
 
+    def finish(
+        self, x: Float[Tensor, "b n w"], attended: Float[Tensor, "b h n d"], way: Sequence[Float[Tensor, "b 1 w"]]
+    ) -> Float[Tensor, "b n w"]:
+        """Add what was attended to, then the transformation of each position, both gated."""
+        x = x + way[2] * self.attention.join(attended)
+        return self.transform(x, way)
+
+    def transform(self, x: Float[Tensor, "b n w"], way: Sequence[Float[Tensor, "b 1 w"]]) -> Float[Tensor, "b n w"]:
+        """Add the gated transformation of each position."""
+        return x + way[5] * self.mlp(modulate(self.norm2(x), way[3], way[4]))
+
+
+class Context(nn.Module):
+    """The text's part of the last block, of which nothing but keys and values is read."""
+
+    def __init__(self, width: int, heads: int, shared: bool = False) -> None:
+        super().__init__()
+        self.heads = heads
+        self.kv = nn.Linear(width, 2 * width, bias=False)
+        self.key_norm = nn.RMSNorm(width // heads, eps=1e-6)
+        self.norm1 = nn.RMSNorm(width, eps=1e-6)
+        self.modulation = Modulation(width, 2, shared)
+
+    def forward(
+        self, x: Float[Tensor, "b n w"], condition: Float[Tensor, "b m"]
+    ) -> tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h n d"]]:
+        """Return keys and values."""
+        x = modulate(self.norm1(x), *self.modulation(condition))
+        key, value = self.kv(x).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        return self.key_norm(key), value
+
 
 class JointBlock(nn.Module):
-    """Two streams, motion and text, that attend to the positions of both (FRONTIER §2.2)."""
+    """Two streams, motion and text, that attend to the positions of both (FRONTIER §2.2).
 
-    def __init__(self, width: int, heads: int, hidden: int, shared: bool = False) -> None:
+    `last`: the text ends here, so that what would change it isn't built.
+    """
+
+    def __init__(self, width: int, heads: int, hidden: int, *, shared: bool = False, last: bool = False) -> None:
         super().__init__()
         self.motion = Stream(width, heads, hidden, shared)
-        self.text = Stream(width, heads, hidden, shared)
+        self.text = Context(width, heads, shared) if last else Stream(width, heads, hidden, shared)
+        self.last = last
 
     def close(self) -> None:
         """Make the block the identity, as it starts."""
@@ -118,17 +155,18 @@ class JointBlock(nn.Module):
         mask: Bool[Tensor, "b 1 #q k"],
     ) -> tuple[Float[Tensor, "b n w"], Float[Tensor, "b l w"]]:
         """Transform both; `mask`, True = may be seen, is over (text, motion) keys, and queries where they differ."""
-        ways = [part.modulation(condition) for part in (self.text, self.motion)]
-        heads = [
-            part.attention.split(modulate(part.norm1(x), way[0], way[1]), place)
-            for part, x, way, place in zip(
-                (self.text, self.motion), (text, motion), ways, (None, positions), strict=True
-            )
-        ]
-        query, key, value = (torch.cat(both, dim=2) for both in zip(*heads, strict=True))
-        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-        words, frames = attended.split((text.shape[1], motion.shape[1]), dim=2)
-        return _finish(self.motion, motion, frames, ways[1]), _finish(self.text, text, words, ways[0])
+        part, way, size = self.motion, self.motion.modulation(condition), text.shape[1]
+        query, key, value = part.attention.split(modulate(part.norm1(motion), way[0], way[1]), positions)
+        if isinstance(self.text, Context):
+            keys, values = self.text(text, condition)
+            heads = query, torch.cat((keys, key), dim=2), torch.cat((values, value), dim=2)
+            attended = F.scaled_dot_product_attention(*heads, attn_mask=mask[:, :, -motion.shape[1] :])
+            return part.finish(motion, attended, way), text
+        other = self.text.modulation(condition)
+        words = self.text.attention.split(modulate(self.text.norm1(text), other[0], other[1]))
+        heads = [torch.cat(both, dim=2) for both in zip(words, (query, key, value), strict=True)]
+        attended = F.scaled_dot_product_attention(*heads, attn_mask=mask)
+        return part.finish(motion, attended[:, :, size:], way), self.text.finish(text, attended[:, :, :size], other)
 
 
 class CrossBlock(nn.Module):
@@ -166,9 +204,4 @@ class CrossBlock(nn.Module):
         if self.cross is not None and self.cross_norm is not None and context is not None:
             heads = self.cross.across(self.cross_norm(x), context)
             x = x + self.cross.join(F.scaled_dot_product_attention(*heads, attn_mask=context_mask))
-        return x + way[5] * stream.mlp(modulate(stream.norm2(x), way[3], way[4]))
-
-
-def _finish(part: Stream, x: Tensor, attended: Tensor, way: Sequence[Tensor]) -> Tensor:
-    x = x + way[2] * part.attention.join(attended)
-    return x + way[5] * part.mlp(modulate(part.norm2(x), way[3], way[4]))
+        return stream.transform(x, way)

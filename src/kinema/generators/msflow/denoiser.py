@@ -50,17 +50,17 @@ class MsflowDenoiser(Denoiser):
         self.motion_in = nn.Linear(patch * frame_dim, width)
         self.motion_out = nn.Linear(width, patch * frame_dim)
         self.text_in = nn.Linear(token_dim, width)
-        self.null = nn.Parameter(torch.zeros(null_tokens, width))
+        self.null = nn.Parameter(torch.zeros(null_tokens, width)) if null_tokens else None
         self.refiner = Refiner(width, heads, refiner_layers) if refiner_layers else None
         self.time = nn.Sequential(nn.Linear(FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
         self.pooled = nn.Linear(width, width)
         self.joint = text_attention == TEXT_ATTENTION[0]
         self.modulation = nn.Linear(width, 6 * width) if shared_modulation else None
         self.blocks = nn.ModuleList(
-            JointBlock(width, heads, hidden, shared=shared_modulation)
+            JointBlock(width, heads, hidden, shared=shared_modulation, last=i == layers - 1)
             if self.joint
             else CrossBlock(width, heads, hidden, cross=True, shared=shared_modulation)
-            for _ in range(layers)
+            for i in range(layers)
         )
         self.reset_parameters()
 
@@ -74,7 +74,8 @@ class MsflowDenoiser(Denoiser):
         for layer in self.time:
             if isinstance(layer, nn.Linear):
                 nn.init.normal_(layer.weight, std=0.02)
-        nn.init.normal_(self.null, std=0.02)
+        if self.null is not None:
+            nn.init.normal_(self.null, std=0.02)
         for block in self.blocks:
             block.close()
         if self.refiner is not None:
@@ -91,7 +92,7 @@ class MsflowDenoiser(Denoiser):
                 "token features (reads_tokens: true)"
             )
         words, mask = self.text_in(text.tokens), text.token_mask
-        if not len(self.null):
+        if self.null is None:
             return words, mask
         front = self.null.to(words.dtype).expand(len(words), -1, -1)
         return torch.cat((front, words), dim=1), F.pad(mask, (len(self.null), 0), value=True)

@@ -83,7 +83,7 @@ class MSFlow(FrameDiffusion):
 
     def without_text(self, text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
         """Hide the words of the samples in `drop` (None: of all) behind the null tokens, or zero their features."""
-        if not len(self.denoiser.null) or text.token_mask is None:
+        if self.denoiser.null is None or text.token_mask is None:
             return without_text(text, drop)
         dropped = torch.ones_like(text.token_mask) if drop is None else drop[:, None].expand_as(text.token_mask)
         return replace(text, token_mask=text.token_mask & ~dropped)

@@ -54,8 +54,10 @@ class Refiner(nn.Module):
     def reset_parameters(self) -> None:
         """Start as the identity, its gates closed."""
         nn.init.eye_(self.inputs.weight)
+        nn.init.zeros_(self.inputs.bias)
         for layer in self.layers:
             nn.init.zeros_(layer.gates.weight)
+            nn.init.zeros_(layer.gates.bias)
 
     def forward(self, words: Float[Tensor, "b l w"], time: Tensor, mask: Bool[Tensor, "b l"]) -> Float[Tensor, "b l w"]:
         """Refine the words at one time for all rows or one per row."""
