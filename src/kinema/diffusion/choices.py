@@ -12,3 +12,4 @@ Solver = Annotated[str, OneOf(ddpm.SOLVERS, flow.SOLVERS)]
 SECTIONS = Matches(r"(ddim|leading)?\d+|\d+(,\d+)+", "counts such as 15,15,8, ddim50 or leading50")
 SolverSteps = Steps | Annotated[str, SECTIONS]
 SolverGrid = Annotated[str, OneOf(GRIDS)]
+Holding = Annotated[str, OneOf(flow.HOLDINGS)]

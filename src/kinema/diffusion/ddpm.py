@@ -105,12 +105,15 @@ class DDPM(nn.Module):
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
         known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,
+        holding: str = "path",
+        renewal: float | None = None,
     ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: `noise` yields the start, then (ancestral) one draw per step but the last.
 
         `temperature` scales the step noise; `clip` holds the estimate of the clean data inside (min, max) at every
         step, which an undertrained epsilon model needs: the first step of the cosine schedule multiplies its error
-        by 32. `known` (values, mask) replaces the estimate where the mask is True (MDM §5).
+        by 32. `known` (values, mask) replaces the estimate where the mask is True (MDM §5), whatever `holding` and
+        `renewal` say.
         """
         solver, schedule = self.resolve(solver, steps, grid)
         if solver != "ancestral" and temperature != 1:

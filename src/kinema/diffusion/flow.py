@@ -12,12 +12,14 @@ from torch import Tensor, nn
 
 from kinema.diffusion.grids import GRIDS
 from kinema.diffusion.guidance import Predict
+from kinema.diffusion.projection import projected
 from kinema.diffusion.solvers import STEPS, dopri5, integrate
 from kinema.options import FullShare, OneOf, Positive, checked
 from kinema.registry import buildable
 
 SOLVERS = (*STEPS, "dopri5", "sde")
 PREDICTIONS = ("velocity", "x1")
+HOLDINGS = ("path", "projection")
 NEAREST = 1e-3
 """How near to the data a velocity is still computed of a clean estimate, in sampling."""
 
@@ -105,20 +107,26 @@ class Flow(nn.Module):
         temperature: float = 1.0,
         clip: tuple[Tensor, Tensor] | None = None,
         known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,
+        holding: str = "path",
+        renewal: float | None = None,
     ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: standard `noise` yields the start, then ("sde") one draw per step but the last.
 
         `temperature` scales the SDE's noise; `clip` holds the result inside (min, max). Where the mask of `known`
-        (values, mask) is True, the velocity is that which leads to its values.
+        (values, mask) is True, the velocity is that which leads to its values; with `holding` "projection" steps are
+        Euler's, and `projected` at every one by the share `renewal` (one draw of noise each).
         """
         solver, times = self.resolve(solver, steps, grid)
         if solver != "sde" and temperature != 1:
             raise ValueError(f"temperature {temperature} has no effect on the ODE solver {solver!r}; use 1.0 or 'sde'")
         velocity = self.velocity(predict)
-        velocity = velocity if known is None else leading_to(*known, velocity)
+        projects = known is not None and holding == "projection"
+        velocity = velocity if known is None or projects else leading_to(*known, velocity)
         noise = (self.source_scale * draw for draw in noise)
         lands = self.prediction == "x1"
-        if solver == "sde":
+        if known is not None and projects:
+            x = projected(velocity, noise, times, known, self.source_scale, renewal)
+        elif solver == "sde":
             x = euler_maruyama(velocity, noise, times, temperature, self.source_scale)
         elif solver == "dopri5" and lands:
             x = integrate(velocity, dopri5(velocity, next(noise), end=1 - NEAREST), times=(1 - NEAREST, 1.0))

@@ -141,6 +141,8 @@ class SequenceDiffusion(Generator):
                 grid=sampling.solver_grid,
                 temperature=sampling.temperature,
                 known=None if kept is None else (kept.values, kept.mask),
+                holding=sampling.holding,
+                renewal=sampling.renewal,
             )
         values = values if kept is None else kept.impose(values)
         values = values.masked_fill(~real[..., None], 0.0)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
-from kinema.diffusion.choices import Solver, SolverGrid, SolverSteps
+from kinema.diffusion.choices import Holding, Solver, SolverGrid, SolverSteps
 from kinema.diffusion.guidance import Guidance
 from kinema.generators.values import check_known
 from kinema.options import NonNegative, Options, Share
@@ -27,7 +27,8 @@ class DiffusionSampling(Options):
     `guidance` extrapolates from no text (0) over the text (1): inside `guidance_interval`, shares of the way from noise
     (0) to data (1), and with `guidance_growing` rising to it from 1. `solver` and `solver_steps` choose how the
     diffusion process samples (None: its defaults), `solver_grid` where a flow's steps lie, `temperature` scales the
-    noise of its steps.
+    noise of its steps. An edit by a flow is held by the `holding` "path", a velocity that leads to what is kept, or
+    "projection" with its `renewal` (`kinema.diffusion.projection`).
     """
 
     guidance: NonNegative = 1.0
@@ -37,6 +38,8 @@ class DiffusionSampling(Options):
     solver_steps: SolverSteps | None = None
     solver_grid: SolverGrid = "uniform"
     temperature: NonNegative = 1.0
+    holding: Holding = "path"
+    renewal: Share | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
