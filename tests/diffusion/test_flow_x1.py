@@ -127,3 +127,13 @@ def test_bad_choices_are_named():
         Flow(prediction="x0")
     with pytest.raises(ValueError, match="source_scale"):
         Flow(source_scale=0.0)
+
+
+def test_stratified_times_are_uniform_and_spread_over_the_batch():
+    flow = Flow(times="stratified")
+    times = flow.draw_times((8, 4), torch.Generator().manual_seed(0), torch.device("cpu"))
+    assert times.shape == (8, 4)
+    assert (times.flatten().sort().values * 32).floor().tolist() == list(range(32))
+    assert times.flatten().tolist() != times.flatten().sort().values.tolist()
+    again = flow.draw_times((8, 4), torch.Generator().manual_seed(0), torch.device("cpu"))
+    assert torch.equal(times, again)

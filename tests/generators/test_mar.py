@@ -12,10 +12,12 @@ from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.generators.mar.model import MARDM, MarSampling
 from kinema.generators.mar.training import MarDraws, corrupt, training_mask
+from kinema.generators.texts import without_words
 from kinema.nn import ranks
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
-PROCESSES = {"ddpm": lambda: DDPM(steps=8), "flow": Flow}
+PROCESSES = {"ddpm": lambda: DDPM(steps=8), "flow": Flow, "words": lambda: Flow(prediction="x1", source_scale=2.0)}
+WORDS = {"words": {"token_dim": 7, "null_tokens": 2}}
 FRAMES = torch.tensor([48, 20, 36])
 SEEDS = torch.tensor([11, 12, 13])
 SAMPLING = MarSampling(steps=6, guidance=2.5)
@@ -25,6 +27,7 @@ def make(process: str = "flow", **options) -> MARDM:
     """Make a tiny model whose zero-initialised layers are filled, so that everything has an influence."""
     torch.manual_seed(0)
     sizes = {"width": 16, "feedforward": 24, "layers": 2, "heads": 2, "mlp_width": 16, "mlp_depth": 2, "dropout": 0.3}
+    sizes |= WORDS.get(process, {})
     model = MARDM(
         latent_dim=6, text_dim=5, process=PROCESSES[process](), max_latents=12, sampling=SAMPLING, **(sizes | options)
     )
@@ -34,9 +37,12 @@ def make(process: str = "flow", **options) -> MARDM:
 
 
 def text(rows: list[int] | None = None) -> TextFeatures:
-    pooled = torch.randn(4, 5, generator=torch.Generator().manual_seed(1))
+    generator = torch.Generator().manual_seed(1)
+    pooled, tokens = torch.randn(4, 5, generator=generator), torch.randn(4, 6, 7, generator=generator)
     rows = [0, 1, 2] if rows is None else rows
-    return TextFeatures([str(i) for i in rows], pooled[rows])
+    counts = torch.tensor([6, 2, 4, 3])[rows]
+    seen = frame_mask(counts, int(counts.max()))
+    return TextFeatures([str(i) for i in rows], pooled[rows], tokens[rows][:, : seen.shape[1]] * seen[..., None], seen)
 
 
 def latents(frames: torch.Tensor = FRAMES) -> Latents:
@@ -241,7 +247,7 @@ def test_result_counts_whole_latents_and_has_zero_padding():
     assert result.values[result.mask].isfinite().all()
 
 
-@pytest.mark.parametrize("process", PROCESSES)
+@pytest.mark.parametrize("process", ["ddpm", "flow"])
 def test_each_latent_goes_through_the_mlp_once_per_pass(process):
     """Count rows: 26 latents x 2 guidance halves x evaluations, not the published 11 times that."""
     model, rows = make(process), []
@@ -440,3 +446,17 @@ def test_initialisation():
     ):
         assert layer.weight.std().item() == pytest.approx(0.02, rel=0.05)
         assert not layer.bias.any()
+
+
+def test_words_are_read_and_how_many_are_hidden_is_not():
+    model = make("words")
+    batch, full = latents(), text()
+    shuffled = replace(full, tokens=full.tokens.flip(0) * full.token_mask[..., None])
+    assert not torch.allclose(
+        model(batch.values, full, batch.mask), model(batch.values, shuffled, batch.mask), atol=1e-3
+    )
+    fewer = replace(full, token_mask=full.token_mask & (torch.arange(6) < 2))
+    nothing = [model(batch.values, without_words(given), batch.mask) for given in (full, fewer)]
+    close(*nothing)
+    with pytest.raises(ValueError, match="reads_tokens: true"):
+        model(batch.values, replace(full, tokens=None, token_mask=None), batch.mask)

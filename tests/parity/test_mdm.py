@@ -9,8 +9,9 @@ from torch import Tensor
 
 from kinema import interop
 from kinema.diffusion.errors import per_sequence
-from kinema.generators.frames.training import FrameDraws, without_text
+from kinema.generators.frames.training import FrameDraws
 from kinema.generators.mdm import MDM, FrameSampling
+from kinema.generators.texts import without_text
 from kinema.types import Known, Latents, TextFeatures, frame_mask
 
 STEPS = 50

@@ -20,6 +20,7 @@ from kinema.registry import buildable
 SOLVERS = (*STEPS, "dopri5", "sde")
 PREDICTIONS = ("velocity", "x1")
 HOLDINGS = ("path", "projection")
+TIMES = ("uniform", "stratified")
 NEAREST = 1e-3
 """How near to the data a velocity is still computed of a clean estimate, in sampling."""
 
@@ -29,7 +30,8 @@ class Flow(nn.Module):
     """Linear path x_t = t x1 + (1 - t) x0 from noise x0 (t = 0) to data x1 (t = 1), velocity x1 - x0 (MARDM §5, SiT).
 
     x0 has the deviation `source_scale`. The network predicts the velocity, or the clean data ("x1"), which is scored as
-    the velocity (x1 - x_t) / max(1 - t, `clamp`) that it implies (FRONTIER §2.4).
+    the velocity (x1 - x_t) / max(1 - t, `clamp`) that it implies (FRONTIER §2.4). Training draws its `times` "uniform",
+    or "stratified" over those of a batch, so that none has more than its share of the late ones, which count most.
 
     Solvers: euler, midpoint, heun, rk4 and sde take the steps of a grid (by default midpoint, 25 equal ones); dopri5,
     as published, chooses its own. The velocity of a clean estimate has no value at t = 1: there the last step is
@@ -43,9 +45,10 @@ class Flow(nn.Module):
         prediction: Annotated[str, OneOf(PREDICTIONS)] = "velocity",
         source_scale: Positive = 1.0,
         clamp: FullShare = 0.05,
+        times: Annotated[str, OneOf(TIMES)] = "uniform",
     ) -> None:
         super().__init__()
-        self.prediction, self.source_scale, self.clamp = prediction, source_scale, clamp
+        self.prediction, self.source_scale, self.clamp, self.times = prediction, source_scale, clamp, times
 
     def resolve(
         self, solver: str | None, steps: int | str | None, grid: str = "uniform"
@@ -63,8 +66,13 @@ class Flow(nn.Module):
         return solver, GRIDS[grid](steps, self.source_scale)
 
     def draw_times(self, shape: tuple[int, ...], generator: torch.Generator | None, device: torch.device) -> Tensor:
-        """Draw training times: uniform in [0, 1)."""
-        return torch.rand(shape, generator=generator, device=device)
+        """Draw training times: uniform in [0, 1), each from an interval of its own where they are stratified."""
+        drawn = torch.rand(shape, generator=generator, device=device)
+        if self.times == "uniform":
+            return drawn
+        count = drawn.numel()
+        order = torch.randperm(count, generator=generator, device=device).view(shape)
+        return ((order + drawn) / count).clamp(max=1 - 2**-24)
 
     def add_noise(self, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]) -> Float[Tensor, "n *d"]:
         """Interpolate between scaled standard `noise` and data."""

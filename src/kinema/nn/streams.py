@@ -1,4 +1,4 @@
-"""Let streams of positions attend to each other: rotary heads with normalised queries and keys, modulated blocks."""
+"""Let streams of positions attend to themselves and to each other in modulated blocks."""
 
 from __future__ import annotations
 
@@ -9,55 +9,9 @@ from jaxtyping import Bool, Float, Shaped
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.nn.heads import CrossAttention, Projections
 from kinema.nn.modulation import modulate
-from kinema.nn.rotary import rotary
 from kinema.nn.swiglu import SwiGLU
-
-Heads = tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h n d"], Float[Tensor, "b h n d"]]
-"""Queries, keys and values of one stream."""
-Across = tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h l d"], Float[Tensor, "b h l d"]]
-"""Queries of one stream, keys and values of another."""
-
-
-class Projections(nn.Module):
-    """Make one stream's queries, keys and values, and its output (FRONTIER §2.2): RMSNorm on queries and keys."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        if width % heads or width // heads % 2:
-            raise ValueError(
-                f"width {width} over {heads} heads gives no even number of channels a head; choose heads that divide "
-                "the width into even parts"
-            )
-        self.heads = heads
-        self.qkv = nn.Linear(width, 3 * width, bias=False)
-        self.query_norm = nn.RMSNorm(width // heads, eps=1e-6)
-        self.key_norm = nn.RMSNorm(width // heads, eps=1e-6)
-        self.proj = nn.Linear(width, width)
-
-    def split(
-        self, x: Float[Tensor, "b n w"], positions: Shaped[Tensor, " n"] | None = None, base: float = 10000.0
-    ) -> Heads:
-        """Project, normalise queries and keys, and turn them by their `positions` (None: they have none)."""
-        query, key, value = self._heads(x, 0, 3)
-        query, key = self.query_norm(query), self.key_norm(key)
-        if positions is not None:
-            query, key = rotary(query, positions, base), rotary(key, positions, base)
-        return query, key, value
-
-    def across(self, x: Float[Tensor, "b n w"], context: Float[Tensor, "b l w"]) -> Across:
-        """Make queries of `x`, keys and values of the context."""
-        (query,), (key, value) = self._heads(x, 0, 1), self._heads(context, 1, 3)
-        return self.query_norm(query), self.key_norm(key), value
-
-    def _heads(self, x: Tensor, start: int, end: int) -> Float[Tensor, "k b h n d"]:
-        width = x.shape[-1]
-        rows = F.linear(x, self.qkv.weight[start * width : end * width])
-        return rows.unflatten(-1, (end - start, self.heads, -1)).permute(2, 0, 3, 1, 4)
-
-    def join(self, attended: Float[Tensor, "b h n d"]) -> Float[Tensor, "b n w"]:
-        """Lay the heads side by side and project."""
-        return self.proj(attended.transpose(1, 2).flatten(2))
 
 
 class Modulation(nn.Module):
@@ -175,16 +129,14 @@ class CrossBlock(nn.Module):
     def __init__(self, width: int, heads: int, hidden: int, *, cross: bool = False, shared: bool = False) -> None:
         super().__init__()
         self.stream = Stream(width, heads, hidden, shared)
-        self.cross_norm = nn.RMSNorm(width, eps=1e-6) if cross else None
-        self.cross = Projections(width, heads) if cross else None
+        self.cross = CrossAttention(width, heads) if cross else None
         self.close()
 
     def close(self) -> None:
         """Make the block the identity, as it starts."""
         self.stream.modulation.close()
         if self.cross is not None:
-            nn.init.zeros_(self.cross.proj.weight)
-            nn.init.zeros_(self.cross.proj.bias)
+            self.cross.close()
 
     def forward(
         self,
@@ -193,7 +145,7 @@ class CrossBlock(nn.Module):
         positions: Shaped[Tensor, " n"],
         mask: Bool[Tensor, "b 1 #q n"] | None = None,
         context: Float[Tensor, "b l w"] | None = None,
-        context_mask: Bool[Tensor, "b 1 1 l"] | None = None,
+        context_mask: Bool[Tensor, "b l"] | None = None,
         base: float = 10000.0,
     ) -> Float[Tensor, "b n w"]:
         """Transform `x`; masks are over its own positions and over the context's, True = may be seen."""
@@ -201,7 +153,6 @@ class CrossBlock(nn.Module):
         way = stream.modulation(condition)
         heads = stream.attention.split(modulate(stream.norm1(x), way[0], way[1]), positions, base)
         x = x + way[2] * stream.attention.join(F.scaled_dot_product_attention(*heads, attn_mask=mask))
-        if self.cross is not None and self.cross_norm is not None and context is not None:
-            heads = self.cross.across(self.cross_norm(x), context)
-            x = x + self.cross.join(F.scaled_dot_product_attention(*heads, attn_mask=context_mask))
+        if self.cross is not None and context is not None:
+            x = x + self.cross(x, context, context_mask)
         return stream.transform(x, way)

@@ -63,7 +63,7 @@ def _frames(generator: FrameDiffusion, process: DDPM, values: Tensor, latents: L
 
 def _latents(generator: MARDM, process: DDPM, values: Tensor, latents: Latents, text: TextFeatures) -> Probe:
     hidden = generator.mask_latent.expand_as(values) * latents.mask[..., None]
-    condition = generator.mlp.embed_condition(generator(hidden, text.pooled, latents.mask)[latents.mask])
+    condition = generator.mlp.embed_condition(generator(hidden, text, latents.mask)[latents.mask])
     clean = values[latents.mask]
 
     def predict(x: Tensor, time: Tensor) -> Tensor:

@@ -18,8 +18,9 @@ from kinema.generators import Generator
 from kinema.generators.draws import share_of
 from kinema.generators.frames.denoiser import Denoiser
 from kinema.generators.frames.sampling import DiffusionSampling, FrameSampling, Kept
-from kinema.generators.frames.training import FrameDraws, without_text
+from kinema.generators.frames.training import FrameDraws
 from kinema.generators.lengths import requested_lengths
+from kinema.generators.texts import without_text
 from kinema.generators.values import check_latents
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks

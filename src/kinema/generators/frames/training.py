@@ -1,8 +1,8 @@
-"""Hold what a training step of diffusion on frames draws, and take texts away."""
+"""Hold what a training step of diffusion on frames draws."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Shaped
@@ -11,7 +11,6 @@ from torch import Tensor
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.flow import Flow
 from kinema.generators.draws import StepDraws
-from kinema.types import TextFeatures
 
 
 @dataclass
@@ -38,11 +37,3 @@ class FrameDraws(StepDraws):
             time=process.draw_times(shape[:1], generator, device),
             noise=torch.randn(shape, generator=generator, device=device),
         )
-
-
-def without_text(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
-    """Zero the features of the samples in `drop` (None: of all): the empty condition."""
-    if drop is None:
-        drop = torch.ones_like(text.pooled[:, 0], dtype=torch.bool)
-    tokens = None if text.tokens is None else text.tokens.masked_fill(drop[:, None, None], 0.0)
-    return replace(text, pooled=text.pooled.masked_fill(drop[:, None], 0.0), tokens=tokens)

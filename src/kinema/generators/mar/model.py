@@ -19,13 +19,15 @@ from kinema.generators.draws import share_of
 from kinema.generators.lengths import requested_lengths
 from kinema.generators.mar.sampling import MarSampling, plan, start
 from kinema.generators.mar.training import MASK_RATIOS, MarDraws, corrupt, training_mask
+from kinema.generators.texts import beside, without_words
 from kinema.generators.values import check_latents
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.modulation import AdaLNBlock
 from kinema.nn.ranks import mean_over_ranks
-from kinema.options import Depth, OneOf, OpenShare, Share, Size, checked
+from kinema.nn.words import Words
+from kinema.options import Depth, OneOf, OpenShare, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Known, Latents, LatentSpace, Losses, TextFeatures
@@ -66,6 +68,8 @@ class MARDM(Generator):
         mask_ratio: Annotated[str, OneOf(MASK_RATIOS)] = "cosine",
         noise_share: Share = 0.1,
         mask_share: Share = 0.88,
+        token_dim: Size | None = None,
+        null_tokens: OptionalDepth = 0,
         sampling: MarSampling | None = None,
     ) -> None:
         super().__init__()
@@ -80,8 +84,11 @@ class MARDM(Generator):
         self.mask_latent = nn.Parameter(torch.zeros(latent_dim))
         self.input_projection = nn.Linear(latent_dim, width)
         self.text_projection = nn.Linear(text_dim, width)
+        self.words = None if token_dim is None else Words(token_dim, width, null_tokens)
         self.dropout = nn.Dropout(dropout)
-        self.blocks = nn.ModuleList(AdaLNBlock(width, heads, feedforward, dropout) for _ in range(layers))
+        self.blocks = nn.ModuleList(
+            AdaLNBlock(width, heads, feedforward, dropout, cross=token_dim is not None) for _ in range(layers)
+        )
         self.reset_parameters()
         self.mlp = DiffusionMLP(latent_dim, width, mlp_width, mlp_depth)
         self.register_buffer("latent_min", torch.full((latent_dim,), -torch.inf))
@@ -94,13 +101,19 @@ class MARDM(Generator):
 
     def reset_parameters(self) -> None:
         """Initialise the transformer: Linears N(0, 0.02), biases and modulations 0. The MLP has its own rule."""
-        for module in (self.input_projection, self.text_projection, *self.blocks.modules()):
+        words = () if self.words is None else self.words.modules()
+        for module in (self.input_projection, self.text_projection, *words, *self.blocks.modules()):
             if isinstance(module, nn.Linear):
                 nn.init.normal_(module.weight, std=0.02)
-                nn.init.zeros_(module.bias)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
         for name, parameter in self.blocks.named_parameters():
             if ".modulation." in name:
                 nn.init.zeros_(parameter)
+        if self.words is not None:
+            self.words.reset_parameters()
+            for block in self.blocks:
+                block.close()
 
     def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
         """Keep the training latents' range."""
@@ -121,23 +134,24 @@ class MARDM(Generator):
     def forward(
         self,
         latents: Float[Tensor, "b n c"],
-        text: Float[Tensor, "b t"],
+        text: TextFeatures,
         real: Bool[Tensor, "b n"],
         last: Bool[Tensor, "b n"] | None = None,
     ) -> Float[Tensor, "b n w"]:
         """Return each position's condition for the diffusion MLP; `real` is True at positions before the padding.
 
-        Positions in `last` go behind the others inside the blocks (pseudo-reordering). A zero text vector is the empty
-        condition.
+        Positions in `last` go behind the others inside the blocks (pseudo-reordering). A text without words and with a
+        zero vector is the empty condition.
         """
-        condition = self.text_projection(text)
+        condition = self.text_projection(text.pooled)
+        words = (None, None) if self.words is None else self.words(text)
         x = self.input_projection(latents)
         x = self.dropout(x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype))
         if last is not None:
             order = last.int().argsort(dim=1, stable=True)
             x, real = _take(x, order), real.gather(1, order)
         for block in self.blocks:
-            x = block(x, condition, real)
+            x = block(x, condition, real, *words)
         return x if last is None else _take(x, order.argsort(dim=1))
 
     def loss(
@@ -159,8 +173,7 @@ class MARDM(Generator):
         x1 = values.detach() * real[:, :, None]
         draws = draws or self._draw(x1, generator, shard)
         mask, shown = self._corrupted(x1, real, latents.lengths, draws)
-        pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
-        z = self(shown, pooled, real)
+        z = self(shown, without_words(text, draws.condition_drop), real)
         rows = self._diffusion_loss(x1[mask], z[mask], draws.diffusion_time[mask], draws.diffusion_noise[mask])
         return {"loss": mean_over_ranks(rows, shard[1])}
 
@@ -200,20 +213,20 @@ class MARDM(Generator):
         lengths = requested_lengths(self.space, text, frames, seeds, known, device=device)
         latents, free = start(self.space, lengths, known)
         draws = draws or SampleDraws(seeds, lengths, len(self.mask_latent), device)
-        predict = self._predictor(text.pooled.to(device), latents.mask, draws, sampling)
+        predict = self._predictor(text.to(device), latents.mask, draws, sampling)
         yield None, latents
         steps = plan(draws.order(), free, sampling)
         for step, values in unmask(latents.content, self.mask_latent.detach(), steps, predict):
             yield step, replace(latents, values=values)
 
     def _predictor(
-        self, text: Tensor, real: Tensor, draws: Draws, sampling: MarSampling
+        self, text: TextFeatures, real: Tensor, draws: Draws, sampling: MarSampling
     ) -> Callable[[UnmaskingStep, Tensor, tuple[Tensor, Tensor]], Float[Tensor, "m c"]]:
         """Close over what all steps share: text and empty passes in one batch, or the text alone at guidance 1."""
         clip = self._latent_range() if sampling.clip_latents else None
         passes = 1 if sampling.guidance == 1 else 2
         if passes == 2:
-            text, real = torch.cat((text, torch.zeros_like(text))), torch.cat((real, real))
+            text, real = beside(text, without_words(text)), torch.cat((real, real))
 
         def denoise(x: Tensor, time: Tensor, condition: Tensor) -> Tensor:
             return self.mlp.denoise(x, self.mlp.embed_time(time), condition)

@@ -12,6 +12,7 @@ from kinema.generators.msflow.masks import MASKS, sees
 from kinema.generators.msflow.refiner import Refiner, masked_mean
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.streams import CrossBlock, JointBlock
+from kinema.nn.words import Words
 from kinema.types import TextFeatures
 
 TEXT_ATTENTION = ("joint", "cross")
@@ -49,8 +50,7 @@ class MsflowDenoiser(Denoiser):
         hidden = 2 * feedforward // 3
         self.motion_in = nn.Linear(patch * frame_dim, width)
         self.motion_out = nn.Linear(width, patch * frame_dim)
-        self.text_in = nn.Linear(token_dim, width)
-        self.null = nn.Parameter(torch.zeros(null_tokens, width)) if null_tokens else None
+        self.words = Words(token_dim, width, null_tokens)
         self.refiner = Refiner(width, heads, refiner_layers) if refiner_layers else None
         self.time = nn.Sequential(nn.Linear(FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
         self.pooled = nn.Linear(width, width)
@@ -74,8 +74,7 @@ class MsflowDenoiser(Denoiser):
         for layer in self.time:
             if isinstance(layer, nn.Linear):
                 nn.init.normal_(layer.weight, std=0.02)
-        if self.null is not None:
-            nn.init.normal_(self.null, std=0.02)
+        self.words.reset_parameters()
         for block in self.blocks:
             block.close()
         if self.refiner is not None:
@@ -85,17 +84,8 @@ class MsflowDenoiser(Denoiser):
                 nn.init.zeros_(last.weight)
 
     def read(self, text: TextFeatures) -> Read:
-        """Project each word's features; learnt tokens, if there are any, stand in front of them."""
-        if text.tokens is None or text.token_mask is None:
-            raise ValueError(
-                "this denoiser reads words, but the text features hold the pooled vector alone; encode the text with "
-                "token features (reads_tokens: true)"
-            )
-        words, mask = self.text_in(text.tokens), text.token_mask
-        if self.null is None:
-            return words, mask
-        front = self.null.to(words.dtype).expand(len(words), -1, -1)
-        return torch.cat((front, words), dim=1), F.pad(mask, (len(self.null), 0), value=True)
+        """Read each word, behind the learnt tokens if there are any."""
+        return self.words(text)
 
     def forward(
         self,
@@ -128,7 +118,7 @@ class MsflowDenoiser(Denoiser):
         size = text.shape[1]
         own = mask[:, :, size:, size:] if self.causal else mask[..., size:]
         for block in self.blocks:
-            motion = block(motion, c, positions, own, text, mask[:, :, -1:, :size])
+            motion = block(motion, c, positions, own, text, words)
         return motion
 
     def _embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated
 
-import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -14,9 +12,9 @@ from kinema.diffusion.errors import per_sequence
 from kinema.diffusion.flow import Flow
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
-from kinema.generators.frames.training import without_text
 from kinema.generators.msflow.denoiser import TEXT_ATTENTION, MsflowDenoiser
 from kinema.generators.msflow.masks import MASKS
+from kinema.generators.texts import without_text, without_words
 from kinema.options import Depth, OneOf, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 from kinema.types import TextFeatures
@@ -83,7 +81,4 @@ class MSFlow(FrameDiffusion):
 
     def without_text(self, text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
         """Hide the words of the samples in `drop` (None: of all) behind the null tokens, or zero their features."""
-        if self.denoiser.null is None or text.token_mask is None:
-            return without_text(text, drop)
-        dropped = torch.ones_like(text.token_mask) if drop is None else drop[:, None].expand_as(text.token_mask)
-        return replace(text, token_mask=text.token_mask & ~dropped)
+        return without_text(text, drop) if self.denoiser.words.null is None else without_words(text, drop)

@@ -1,0 +1,43 @@
+"""Take texts away from samples, for training without them and for guidance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from kinema.types import TextFeatures
+
+
+def without_text(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
+    """Zero the features of the samples in `drop` (None: of all): the empty condition."""
+    if drop is None:
+        drop = torch.ones_like(text.pooled[:, 0], dtype=torch.bool)
+    tokens = None if text.tokens is None else text.tokens.masked_fill(drop[:, None, None], 0.0)
+    return replace(text, pooled=text.pooled.masked_fill(drop[:, None], 0.0), tokens=tokens)
+
+
+def without_words(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
+    """Zero the pooled vector of the samples in `drop` (None: of all) and hide their words, how many they were too."""
+    text = without_text(text, drop)
+    if text.token_mask is None:
+        return text
+    hidden = torch.ones_like(text.token_mask) if drop is None else drop[:, None]
+    return replace(text, token_mask=text.token_mask & ~hidden)
+
+
+def beside(text: TextFeatures, other: TextFeatures) -> TextFeatures:
+    """Lay two batches of the same texts behind each other, with words and without."""
+
+    def both(a: Tensor | None, b: Tensor | None) -> Tensor | None:
+        return None if a is None or b is None else torch.cat((a, b))
+
+    return TextFeatures(
+        texts=text.texts + other.texts,
+        pooled=torch.cat((text.pooled, other.pooled)),
+        tokens=both(text.tokens, other.tokens),
+        token_mask=both(text.token_mask, other.token_mask),
+        clip_ids=text.clip_ids + other.clip_ids,
+    )
