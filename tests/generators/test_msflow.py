@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
 from kinema.diffusion.flow import Flow
-from kinema.generators.msflow import MSFlow
+from kinema.generators.frames.training import FrameDraws
+from kinema.generators.msflow import MSFlow, Physics
 from kinema.generators.msflow.masks import sees
 from kinema.generators.msflow.refiner import Refiner, masked_mean
-from kinema.types import TextFeatures, frame_mask
+from kinema.motion.representation import Representation
+from kinema.motion.skeleton import get_skeleton
+from kinema.motion.statistics import Statistics
+from kinema.tokenizers.frames import FrameGroups, Frames
+from kinema.types import Latents, TextFeatures, frame_mask
 
 FRAMES = 12
 
@@ -148,3 +154,82 @@ def test_bad_choices_are_named():
         make(heads=3)
     with pytest.raises(ValueError, match=r"reads_tokens: true"):
         make().denoiser.read(TextFeatures(["a"], torch.zeros(1, 5)))
+
+
+class Unasked:
+    """Latents of which nothing is asked."""
+
+    def range(self) -> tuple[torch.Tensor, torch.Tensor]:
+        raise AssertionError("no range is needed")
+
+
+def physical(**weights) -> MSFlow:
+    """Make a model on essential frames with penalties, and the tokenizer's joints."""
+    representation = Representation("essential", "humanml3d")
+    width = representation.width
+    representation.fit(Statistics(np.zeros(width), np.ones(width)))
+    model = make(frame_dim=width, max_frames=32, physics=Physics(**weights))
+    model.prepare(Frames(representation), Unasked())
+    return model
+
+
+def motion(frames: int = 20) -> Latents:
+    values = torch.randn(2, frames, 67, generator=torch.Generator().manual_seed(3)) * 0.1
+    lengths = torch.tensor([frames, frames - 6])
+    return Latents(lengths, lengths, values=values * frame_mask(lengths, frames)[..., None])
+
+
+def test_penalties_of_the_motion_itself_are_those_of_its_feet():
+    joints = physical(steps=1.0).place(motion().values)
+    real, skeleton = motion().mask, get_skeleton("humanml3d")
+    assert not Physics(steps=1.0, bones=1.0).penalties(joints, joints, real, skeleton).any()
+
+
+def test_penalties_count_centimetres_of_real_frames():
+    joints, real = physical(steps=1.0).place(motion().values), motion().mask
+    skeleton = get_skeleton("humanml3d")
+    jump = joints.clone()
+    jump[:, 10:] += torch.tensor([0.02, 0.0, 0.0])  # 2 cm in one step, bones and all
+    found = Physics(steps=3.0, bones=1.0).penalties(jump, joints, real, skeleton)
+    torch.testing.assert_close(found[:, 9], torch.full((2,), 3 * 4 / 3), rtol=1e-3, atol=1e-3)
+    assert found[:, [8, 10]].abs().max() < 1e-3
+    behind = joints.clone()
+    behind[1, 14:] += 50.0  # padding
+    assert not Physics(steps=1.0, bones=1.0, feet=1.0).penalties(behind, joints, real, skeleton)[1, 14:].any()
+
+
+def test_feet_that_stand_in_the_data_must_not_slide():
+    skeleton = get_skeleton("humanml3d")
+    joints = torch.zeros(1, 6, skeleton.num_joints, 3)
+    slid = joints.clone()
+    slid[:, :, skeleton.feet_left[1], 0] = torch.arange(6) * 0.03
+    real = torch.ones(1, 6, dtype=torch.bool)
+    found = Physics(feet=1.0).penalties(slid, joints, real, skeleton)
+    torch.testing.assert_close(found[0], torch.tensor([4.5] * 5 + [0.0]))
+    lifted = joints + torch.tensor([0.0, 0.5, 0.0])
+    assert not Physics(feet=1.0).penalties(slid, lifted, real, skeleton).any()
+
+
+def test_penalties_enter_the_loss_and_reach_the_network():
+    plain, held = physical(), physical(steps=0.1, feet=0.1)
+    assert plain.physics is None
+    draws = FrameDraws.draw(
+        (2, 20, 67),
+        plain.process,
+        condition_drop=0.0,
+        generator=torch.Generator().manual_seed(0),
+        device=torch.device("cpu"),
+    )
+    losses = [model.loss(motion(), text([4, 3]), draws=draws)["loss"] for model in (plain, held)]
+    assert losses[1] > losses[0]
+    losses[1].backward()
+    assert held.denoiser.motion_in.weight.grad.any()
+
+
+def test_penalties_need_a_clean_prediction_and_joints():
+    with pytest.raises(ValueError, match="with prediction x1"):
+        MSFlow(process=Flow(), frame_dim=6, token_dim=7, width=16, heads=2, physics=Physics(steps=1.0))
+    with pytest.raises(ValueError, match=r"call prepare\(tokenizer, latents\)"):
+        make(frame_dim=67, max_frames=32, physics=Physics(steps=1.0)).loss(motion(), text([4, 3]))
+    with pytest.raises(ValueError, match="places no joints"):
+        FrameGroups(Representation("essential", "humanml3d"), unit=4, latent_dim=4 * 67).joints(torch.zeros(1, 2, 268))

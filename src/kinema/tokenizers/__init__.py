@@ -45,3 +45,10 @@ class MotionTokenizer(nn.Module, ABC):
     @abstractmethod
     def decode(self, latents: Latents) -> MotionBatch:
         """Decode to de-normalised features of the representation's width; frames past `frames` are zero."""
+
+    def joints(self, values: Float[Tensor, "b n c"]) -> Float[Tensor, "b n j 3"]:
+        """Place the joints of latents that are frames, in the skeleton's unit, so that gradients reach the values.
+
+        Raises ValueError where a latent is no frame.
+        """
+        raise ValueError(f"{type(self).__name__} places no joints: its latents are {self.space.kind}, not frames")

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from kinema.motion.recovery import recover_joints
 from kinema.motion.representation import Representation
 from kinema.options import Size, checked
 from kinema.registry import buildable
@@ -41,6 +44,10 @@ class Frames(MotionTokenizer):
             raise ValueError("frames are continuous values, not codes; use the tokenizer that made them")
         frames = torch.minimum(latents.frames, latents.lengths)
         return MotionBatch(self.representation.denormalize(latents.values, frames), frames)
+
+    def joints(self, values: Float[Tensor, "b n c"]) -> Float[Tensor, "b n j 3"]:
+        """Recover the joints of normalised frames."""
+        return recover_joints(self.representation.denormalize(values), self.representation.skeleton)
 
 
 @buildable

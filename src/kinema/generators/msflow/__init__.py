@@ -2,5 +2,6 @@
 
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.msflow.model import MSFlow
+from kinema.generators.msflow.physics import Physics
 
-__all__ = ["FrameSampling", "MSFlow"]
+__all__ = ["FrameSampling", "MSFlow", "Physics"]

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.errors import per_sequence
 from kinema.diffusion.flow import Flow
+from kinema.generators import TrainingLatents
 from kinema.generators.frames.generator import FrameDiffusion
 from kinema.generators.frames.sampling import FrameSampling
+from kinema.generators.frames.training import FrameDraws
 from kinema.generators.msflow.denoiser import TEXT_ATTENTION, MsflowDenoiser
 from kinema.generators.msflow.masks import MASKS
+from kinema.generators.msflow.physics import Physics
 from kinema.generators.texts import without_text, without_words
 from kinema.options import Depth, OneOf, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
+from kinema.tokenizers import MotionTokenizer
 from kinema.types import TextFeatures
 
 
@@ -26,10 +31,12 @@ class MSFlow(FrameDiffusion):
 
     `process` is a `Flow`, published with prediction "x1" and source_scale 5. The other options are those of
     `MsflowDenoiser`. Without `null_tokens` a dropped text has zeros in place of its words' features, so that its length
-    is still seen, as published.
+    is still seen, as published. `physics` weighs penalties on the predicted clean motion, the more the nearer it is to
+    the data; published are none.
     """
 
     denoiser: MsflowDenoiser
+    place: Callable[[Tensor], Tensor] | None = None
 
     @checked
     def __init__(
@@ -49,6 +56,7 @@ class MSFlow(FrameDiffusion):
         refiner_layers: OptionalDepth = 2,
         null_tokens: OptionalDepth = 0,
         shared_modulation: bool = False,
+        physics: Physics | None = None,
         condition_drop: Share = 0.1,
         max_frames: Size = 196,
         sampling: FrameSampling | None = None,
@@ -78,6 +86,36 @@ class MSFlow(FrameDiffusion):
             average=per_sequence,
             sampling=sampling or FrameSampling(guidance=3.0, solver="heun", solver_steps=49),
         )
+
+        if physics is not None and physics.used and not (isinstance(process, Flow) and process.prediction == "x1"):
+            raise ValueError(
+                "physics reads the predicted clean motion; use a Flow with prediction x1, or physics: null"
+            )
+        self.physics = physics if physics is not None and physics.used else None
+
+    def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
+        """Take how frames become joints, where penalties read these."""
+        if self.physics is not None:
+            self.place, self.skeleton = tokenizer.joints, tokenizer.representation.skeleton
+
+    def errors(
+        self, x1: Float[Tensor, "b n c"], text: TextFeatures, draws: FrameDraws, real: Bool[Tensor, "b n"]
+    ) -> Float[Tensor, "b n c"]:
+        """Return the squared error of every feature, and in each the penalties of its frame."""
+        if self.physics is None:
+            return super().errors(x1, text, draws, real)
+        if self.place is None:
+            raise ValueError("physics needs the tokenizer's joints; call prepare(tokenizer, latents) before training")
+        condition, seen = self.denoiser.read(self.without_text(text, draws.condition_drop))
+        clean: list[Tensor] = []
+
+        def predict(x: Tensor, time: Tensor) -> Tensor:
+            clean.append(self.denoiser(x, time, condition, seen, real))
+            return clean[-1]
+
+        errors = self.process.errors(predict, x1, draws.time, draws.noise)
+        penalties = self.physics.penalties(self.place(clean[0]), self.place(x1), real, self.skeleton)
+        return errors + (draws.time[:, None].square() * penalties)[..., None]
 
     def without_text(self, text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
         """Hide the words of the samples in `drop` (None: of all) behind the null tokens, or zero their features."""
