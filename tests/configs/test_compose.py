@@ -27,7 +27,7 @@ GROUPS = {
     for group in sorted(CONF.iterdir())
     if group.is_dir() and group.name not in ELSEWHERE
 }
-UNTRAINED = ("frames", "frame_groups")
+UNTRAINED = ("frames", "frame_groups", "joints")
 PARTS = [(group, option) for group in MODELS for option in GROUPS[group] if option not in ("none", *UNTRAINED)]
 """Not the tokenizers that have no parameters."""
 REST = [group for group in GROUPS if group not in MODELS]

@@ -29,6 +29,7 @@ PARTS = [
         "none",
         "frames",
         "frame_groups",
+        "joints",
         "fsq",
     )  # nothing to build, nothing to shrink; FSQ needs memory to be built
 ]

@@ -13,7 +13,6 @@ from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.stages import get_stage
-from kinema.motion.representation import Representation
 from kinema.runs.build import build
 from kinema.text.encoders import build_text_encoder
 from kinema.types import MotionBatch
@@ -54,9 +53,7 @@ class Workshop:
         spec = get_stage(stage).spec(self.cfg(*overrides))
         model = build(spec)
         model.spec = spec
-        for part in model.modules():
-            if isinstance(part, Representation):
-                part.fit(self.store.statistics)
+        get_stage(stage).prepare(model, self.store)
         return model
 
 

@@ -12,15 +12,18 @@ from torch import nn
 from kinema.data.datasets import ClipDataset
 from kinema.generators import Generator
 from kinema.generators.lengths import requested_lengths
-from kinema.motion.body_parts import columns_of
+from kinema.motion.body_parts import columns_of, legs
+from kinema.motion.recovery import recover_joints
+from kinema.motion.skeleton import get_skeleton
 from kinema.motion.trajectory import Trajectory
 from kinema.motion.waypoints import Waypoints
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.following import follow
+from kinema.pipeline.holding import hold
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.frames import Frames
 from kinema.training.latents import EncodeEachTime, LatentCache, latent_source
-from kinema.types import Known, Latents, LatentSpace, MotionBatch, frame_mask
+from kinema.types import Known, Latents, LatentSpace, Motion, MotionBatch, frame_mask
 
 TEXTS = ["a person walks", "a man jumps"]
 
@@ -226,3 +229,72 @@ def test_a_posterior_s_moments_are_cached_and_drawn_from(workshop, tmp_path):
     low, high = cached.range()
     assert low.shape == high.shape == (tokenizer.space.width,)
     assert (low < high).all()
+
+
+class Replay(Toy):
+    """Make what it is told to, beside what is known."""
+
+    def __init__(self, space: LatentSpace, values: torch.Tensor) -> None:
+        super().__init__(space)
+        self.values = values
+
+    def sample(self, text, frames, *, seeds, known=None, sampling=None):
+        made = super().sample(text, frames, seeds=seeds, known=known, sampling=sampling)
+        free = torch.ones_like(made.values, dtype=torch.bool) if known is None else ~known.mask
+        made.values = torch.where(free if free.ndim == 3 else free[..., None], self.values, made.values)
+        return made
+
+
+@pytest.fixture
+def placed(workshop):
+    """Give a tokenizer of joints, the motion of a crop from within a clip, and its latents."""
+    tokenizer = workshop.tokenizer("tokenizer=joints", "representation=essential")
+    clips = [workshop.store.clip_frames(int(clip)) for clip in workshop.store.split_clips("train")]
+    rows = next(rows for rows in clips if len(rows) > 100)[9:89, :67].copy()
+    joints = recover_joints(torch.from_numpy(rows), tokenizer.representation.skeleton).numpy()
+    batch = MotionBatch(torch.from_numpy(rows)[None], torch.tensor([len(rows)]))
+    return tokenizer, Motion(joints, rows, "", "humanml3d", 20.0), tokenizer.encode(batch).values
+
+
+def test_of_joints_in_space_an_edit_keeps_what_it_is_told_to_where_it_stood(workshop, placed):
+    """A generator that makes the source again gives it back, whatever heading its rows are told by."""
+    tokenizer, source, values = placed
+    model = TextToMotion(tokenizer, Replay(tokenizer.space, values).eval(), workshop.text)
+    whole = np.ones(80, bool)
+    for frames, parts in (
+        ([(20, 50)], None),
+        (None, "upper"),
+        ([(20, 50)], "lower"),
+        (None, "body"),
+        ("inbetween", None),
+    ):
+        (made,) = model.edit(source, "someone waves", frames, parts=parts, seed=1)
+        assert np.abs(made.joints - source.joints).max() < 2e-3, (frames, parts)
+        kept = whole if parts else made.kept
+        columns = np.ones(67, bool) if parts is None else ~columns_of(parts, model.skeleton)[:67]
+        assert np.array_equal(made.features[kept][:, columns], source.features[kept][:, columns])
+
+
+def test_of_joints_in_space_a_part_moves_and_the_rest_stands(workshop, placed):
+    tokenizer, source, values = placed
+    lower = np.isin(np.arange(22), list(legs(get_skeleton("humanml3d"))))
+    lifted = values.unflatten(2, (-1, 3)).clone()
+    lifted[..., 1] += 0.2 / tokenizer.std[0, 1]
+    model = TextToMotion(tokenizer, Replay(tokenizer.space, lifted.flatten(2)).eval(), workshop.text)
+    for part, new in (("upper", ~lower), ("lower", lower)):
+        (made,) = model.edit(source, "someone waves", parts=part, seed=1)
+        away = made.joints - source.joints
+        assert np.abs(away[:, ~new]).max() < 2e-3
+        np.testing.assert_allclose(away[:, new, 1], 0.2, atol=1e-3)
+
+
+def test_of_joints_in_space_held_frames_and_ways_are_known(workshop, placed):
+    tokenizer, source, values = placed
+    model = TextToMotion(tokenizer, Replay(tokenizer.space, values).eval(), workshop.text)
+    held = hold(model, source, "someone waves", [0, 40, 79], seed=1)
+    assert held.away < 2e-3
+    way = Waypoints(np.array([0.0, 2.0, 3.95]), np.array([[1.0, 1.0], [1.0, 2.0], [2.0, 2.0]]), None)
+    made = follow(model, ["a person walks"], way, seed=1)
+    assert made.away < 1e-3
+    with pytest.raises(ValueError, match="joining motions needs latents that can be laid one behind the other"):
+        model.chain(TEXTS, [37, 50])

@@ -23,7 +23,6 @@ from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.files.kinds import DamagedError
 from kinema.generators import LatentModel
-from kinema.motion.representation import Representation
 from kinema.options import Count, OneOf, Options, check, make
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs import weights
@@ -86,6 +85,7 @@ def make_model(
         fitted = fit(module, data, folder.path, machine, callbacks=callbacks, record=record)
         if global_rank() == 0:
             model.load_state_dict(fitted.weights)
+            stage.finish(model, store)
             meta |= {"step": fitted.step, **stage.metadata(cfg, module, needs, folder)}
             weights.save(model, spec, folder.weights, **meta)
         for dashboard in dashboards if cfg.logger.artifacts else ():
@@ -106,9 +106,7 @@ def initial_model(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> tu
     torch.manual_seed(training_seed(stage.seed(cfg), "init", stage.name))
     spec = stage.spec(cfg)
     model = build(spec)
-    for part in model.modules():
-        if isinstance(part, Representation):
-            part.fit(store.statistics)
+    stage.prepare(model, store)
     return model, spec
 
 

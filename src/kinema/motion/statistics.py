@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,34 +40,8 @@ class Statistics:
         The width is the skeleton's full or essential one. A constant group keeps the deviation 1. Raises ValueError
         for chunks of another width, with NaN, or without any row.
         """
-        count, mean, squares = 0, np.empty(0), np.empty(0)
-        for index, chunk in enumerate(chunks):
-            rows = np.asarray(chunk, dtype=np.float64)
-            if rows.ndim != 2 or rows.shape[1] not in (skeleton.feature_width, skeleton.essential_width):
-                raise ValueError(
-                    f"chunk {index} has shape {rows.shape}; skeleton {skeleton.name!r} needs "
-                    f"(n, {skeleton.feature_width}) or (n, {skeleton.essential_width})"
-                )
-            if len(rows) == 0:
-                continue
-            if not np.isfinite(rows).all():
-                raise ValueError(
-                    f"chunk {index} holds NaN or infinite values; leave such clips out (see motion.checks)"
-                )
-            chunk_mean = rows.mean(0)
-            chunk_squares = np.square(rows - chunk_mean).sum(0)
-            if count == 0:
-                count, mean, squares = len(rows), chunk_mean, chunk_squares
-                continue
-            # Chan's merge: exact however long the corpus, unlike a running sum of squares.
-            total = count + len(rows)
-            delta = chunk_mean - mean
-            squares = squares + chunk_squares + np.square(delta) * count * len(rows) / total
-            mean = mean + delta * len(rows) / total
-            count = total
-        if count == 0:
-            raise ValueError("no rows to compute statistics from; is the corpus empty?")
-        return cls(mean=mean, std=_grouped(np.sqrt(squares / count), skeleton))
+        mean, std = moments(_checked(chunks, skeleton))
+        return cls(mean=mean, std=_grouped(std, skeleton))
 
     def published(self, skeleton: Skeleton) -> Statistics:
         """Return the T2M family's variant: deviation of root and contact columns divided by 25 (HUMANML3D_DATA §6)."""
@@ -98,6 +72,46 @@ class Statistics:
             return cls(mean.astype(np.float64), std.astype(np.float64))
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
+
+
+def moments(chunks: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and population deviation of every column over all rows of all chunks (n, d), in float64.
+
+    Raises ValueError where there is no row.
+    """
+    count, mean, squares = 0, np.empty(0), np.empty(0)
+    for chunk in chunks:
+        rows = np.asarray(chunk, dtype=np.float64)
+        if len(rows) == 0:
+            continue
+        chunk_mean = rows.mean(0)
+        chunk_squares = np.square(rows - chunk_mean).sum(0)
+        if count == 0:
+            count, mean, squares = len(rows), chunk_mean, chunk_squares
+            continue
+        # Chan's merge: exact however long the corpus, unlike a running sum of squares.
+        total = count + len(rows)
+        delta = chunk_mean - mean
+        squares = squares + chunk_squares + np.square(delta) * count * len(rows) / total
+        mean = mean + delta * len(rows) / total
+        count = total
+    if count == 0:
+        raise ValueError("no rows to compute statistics from; is the corpus empty?")
+    return mean, np.sqrt(squares / count)
+
+
+def _checked(chunks: Iterable[np.ndarray], skeleton: Skeleton) -> Iterator[np.ndarray]:
+    """Refuse chunks of another width or with NaN."""
+    for index, chunk in enumerate(chunks):
+        rows = np.asarray(chunk, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] not in (skeleton.feature_width, skeleton.essential_width):
+            raise ValueError(
+                f"chunk {index} has shape {rows.shape}; skeleton {skeleton.name!r} needs "
+                f"(n, {skeleton.feature_width}) or (n, {skeleton.essential_width})"
+            )
+        if not np.isfinite(rows).all():
+            raise ValueError(f"chunk {index} holds NaN or infinite values; leave such clips out (see motion.checks)")
+        yield rows
 
 
 def _grouped(std: np.ndarray, skeleton: Skeleton) -> np.ndarray:

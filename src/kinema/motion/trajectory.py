@@ -58,6 +58,27 @@ def pinned(made: Float[np.ndarray, "t d"], goal: Trajectory, held: Bool[np.ndarr
     return Trajectory(yaw, place + between(here, goal.place[here] - place[here], len(held)))
 
 
+def faced(
+    rows: Float[np.ndarray, "t d"],
+    goal: Float[np.ndarray, "t d"],
+    held: Bool[np.ndarray, " t"],
+    skeleton: Skeleton,
+) -> Float[np.ndarray, "t d"]:
+    """Describe the same joints by other headings: in held frames those of the goal's rows, between them by parts.
+
+    Where frame 0 gets another heading, the whole is turned by it: a row knows no other.
+    """
+    here = np.flatnonzero(held)
+    if not len(here):
+        return rows
+    own, other = Trajectory.of(rows), Trajectory.of(goal)
+    turn = between(here, np.unwrap(other.yaw[here] - own.yaw[here]), len(rows))
+    local = rows[:, skeleton.groups["joints"]].reshape(len(rows), -1, 3)
+    turned = rows.copy()
+    turned[:, skeleton.groups["joints"]] = rotate_yaw(local.astype(np.float64), turn).reshape(len(rows), -1)
+    return Trajectory(own.yaw + turn, own.place).steer(turned, skeleton)
+
+
 def between(known: np.ndarray, values: Float[np.ndarray, "n *c"], size: int) -> Float[np.ndarray, "t *c"]:
     """Go gently from each known frame's value to the next one's; before the first and behind the last they stay.
 

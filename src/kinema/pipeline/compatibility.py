@@ -7,7 +7,6 @@ from typing import Any
 import torch
 
 from kinema.generators import LatentModel
-from kinema.motion.representation import Representation
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import LatentSpace
 
@@ -39,14 +38,14 @@ def check_pair(tokenizer: MotionTokenizer, generator: LatentModel) -> None:
     _check_codebook(who, tokenizer, generator)
 
 
-def check_representation(saved: dict[str, Any] | None, own: Representation) -> None:
+def check_representation(saved: dict[str, Any] | None, own: MotionTokenizer) -> None:
     """Raise ValueError if a generator was trained on latents of another representation than the tokenizer's."""
     ours = own.identity()
     if saved is not None and saved != ours:
-        name = next(key for key in ours if saved.get(key) != ours[key])
+        name = next(key for key in {**ours, **saved} if saved.get(key) != ours.get(key))
         raise ValueError(
             f"the generator was trained with a tokenizer whose representation has {name}={saved.get(name)!r}, this one "
-            f"has {ours[name]!r}; use the tokenizer run it was trained on"
+            f"has {ours.get(name)!r}; use the tokenizer run it was trained on"
         )
 
 

@@ -55,7 +55,7 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
         raise ValueError(f"{type(generator).__name__} takes no part {name!r}; it takes {takes}")
     tokenizer, _ = load_part(links.pop(TOKENIZER), device, TOKENIZER)
     runs: dict[str, str | Path | None] = {**links, **given}
-    check_representation(meta.get("representation"), tokenizer.representation)
+    check_representation(meta.get("representation"), tokenizer)
     encoder = build_text_encoder(text["encoder"], _text_path(folder, text), device)
     if meta.get("text", encoder.identity) != encoder.identity:
         raise ValueError(f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}")

@@ -23,24 +23,19 @@ def encode_kept(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tens
         # Nothing is kept; the shape of the latents is all that is needed.
         latents = tokenizer.encode(motion)
         return Known(latents, keep)
-    offsets = torch.arange(int((ends - starts).max()) * unit, device=keep.device)
-    frames = (starts * unit)[:, None] + offsets
-    inside = offsets < ((ends - starts) * unit)[:, None]
-    pieces = motion.features[rows[:, None], frames.clamp(max=motion.features.shape[1] - 1)] * inside[..., None]
-    encoded = tokenizer.encode(MotionBatch(pieces, (ends - starts) * unit))
+    encoded = tokenizer.encode_pieces(motion, rows, starts * unit, (ends - starts) * unit)
     content = encoded.content.new_zeros(*keep.shape, encoded.content.shape[2])
     content[keep] = encoded.content[encoded.mask]
     return Known(encoded.holding(content, lengths, lengths * unit), keep)
 
 
-def encode_kept_features(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tensor, "b n c"]) -> Known:
-    """Encode frames of which single features are kept (True); the others are zero.
+def encode_kept_features(tokenizer: MotionTokenizer, motion: MotionBatch, keep: Bool[Tensor, "b n d"]) -> Known:
+    """Encode frames of which single features, columns of feature rows, are kept (True); the others are zero.
 
     Raises ValueError for latents that aren't frames.
     """
-    tokenizer.space.in_frames("regenerating a part of the body")
     latents = tokenizer.encode(motion)
-    keep = keep & latents.mask[..., None]
+    keep = tokenizer.known_numbers(keep) & latents.mask[..., None]
     return Known(latents.holding(latents.content.masked_fill(~keep, 0.0), latents.lengths, latents.frames), keep)
 
 

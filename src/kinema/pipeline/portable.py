@@ -108,7 +108,7 @@ class Portable:
         path = Path(path)
         if "text" not in self.meta:
             raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
-        own = {"text": self.text_encoder.identity, "representation": self.tokenizer.representation.identity()}
+        own = {"text": self.text_encoder.identity, "representation": self.tokenizer.identity()}
         parts: dict[str, nn.Module] = {TOKENIZER: self.tokenizer, **self.parts}
         about = [one for one in (self.card, self.repertoire) if one is not None]
         write_parts(path, self.generator, parts, self.meta["text"], own, about, half=half, replace=replace)

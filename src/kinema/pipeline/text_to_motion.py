@@ -160,6 +160,11 @@ class TextToMotion(Portable):
         check_value(transition, Count, "transition")
         options, space = self.changed_sampling(sampling), self.generator.space
         most = self.max_frames // space.in_time("joining motions")
+        if self.tokenizer.placed:
+            raise ValueError(
+                "joining motions needs latents that can be laid one behind the other, but here they say where joints "
+                "stand; choose a method whose tokenizer keeps motion relative to its root (mardm_sit, mdm, ...)"
+            )
         # A transition draws its own numbers, not those of the part before it.
         seeds = request_seeds(seed, 2 * len(texts) - 1)
         seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
@@ -226,7 +231,9 @@ class TextToMotion(Portable):
                 keep, known = self._known(whole, counts.to(self.device), ranges[part], parts)
                 text, drawn = self.encode(texts[part]), torch.tensor(seeds[part])
                 batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
-                batch = put_back(batch, whole.features, keep, self.skeleton, blend) if paste else batch
+                if paste:
+                    batch = self.tokenizer.described(batch, whole.features, keep)
+                    batch = put_back(batch, whole.features, keep, self.skeleton, blend)
                 edited += self._motions(batch, texts[part], seeds[part], keep)
         return [in_place(made, source, self.skeleton) for made, source in zip(edited, motions, strict=True)]
 

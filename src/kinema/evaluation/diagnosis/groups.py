@@ -7,15 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float
 
-from kinema.motion.representation import Representation
-
-LATENTS = "latents"
-
-
-def column_groups(representation: Representation | None, width: int) -> dict[str, slice]:
-    """Name the groups of columns: a representation's, or all of an autoencoder's latents as one."""
-    return {LATENTS: slice(0, width)} if representation is None else representation.groups
-
 
 def by_group(groups: Mapping[str, slice], values: Float[np.ndarray, " d"], name: str) -> dict[str, dict[str, float]]:
     """Return NAME_least, NAME_median and NAME_most of each group's columns, those without a value left out."""

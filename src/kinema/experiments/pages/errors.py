@@ -15,7 +15,7 @@ from kinema.data.store import PackedStore
 from kinema.evaluation.diagnosis import amplification as formulas
 from kinema.evaluation.diagnosis.deviations import own_deviations
 from kinema.evaluation.diagnosis.directions import bands, noise_found, principal
-from kinema.evaluation.diagnosis.groups import by_group, column_groups, shares
+from kinema.evaluation.diagnosis.groups import by_group, shares
 from kinema.evaluation.diagnosis.marginals import wasserstein
 from kinema.evaluation.diagnosis.probes import Probe, probe
 from kinema.experiments.pages.charts import bars, lines
@@ -61,7 +61,7 @@ def denoising(page: dict[str, Any], subjects: list[Subject]) -> Section:
     rows: Rows = []
     for subject in subjects:
         laid_open = _probe(subject)
-        noise, groups = next(_noise(laid_open.clean, 3)), _groups(subject, laid_open)
+        noise, groups = next(_noise(laid_open.clean, 3)), subject.model.tokenizer.groups
         for at in timesteps(page, laid_open):
             found = formulas.step_errors(laid_open.process, laid_open.predict, laid_open.clean, at, noise)
             columns = [laid_open.columns(error) for error in found]
@@ -180,11 +180,6 @@ def _noise(like: Tensor, seed: int) -> Iterator[Tensor]:
     generator = torch.Generator().manual_seed(seed)
     while True:
         yield torch.randn(like.shape, generator=generator).to(like)
-
-
-def _groups(subject: Subject, laid_open: Probe) -> dict[str, slice]:
-    frames = subject.model.generator.space.kind == "frames"
-    return column_groups(subject.model.tokenizer.representation if frames else None, laid_open.clean.shape[-1])
 
 
 def _frames(batch: MotionBatch) -> np.ndarray:

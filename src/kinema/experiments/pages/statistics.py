@@ -13,7 +13,7 @@ from torch import Tensor
 from kinema.data.store import PackedStore
 from kinema.diffusion.ddpm import DDPM
 from kinema.evaluation.diagnosis.deviations import own_deviations, phi
-from kinema.evaluation.diagnosis.groups import by_group, column_groups
+from kinema.evaluation.diagnosis.groups import by_group
 from kinema.evaluation.diagnosis.marginals import marginals
 from kinema.experiments.pages.charts import bars
 from kinema.experiments.pages.sections import Rows, Section, pivot
@@ -51,7 +51,7 @@ def distributions(page: dict[str, Any], store: PackedStore, subjects: list[Subje
         if subject.model.generator.space.kind == "continuous":
             latents, _ = subject.latents()
             values = latents.content[latents.mask].float().cpu()
-            data[REFORMED] = (column_groups(None, values.shape[1]), values)
+            data[REFORMED] = (subject.model.tokenizer.groups, values)
             break
     draw = torch.Generator().manual_seed(0)
     rows = _rows(NORMAL, "", "", {"columns": slice(0, 16)}, torch.randn(page["frames"], 16, generator=draw))

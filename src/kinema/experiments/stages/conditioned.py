@@ -52,5 +52,5 @@ class ConditionedStage(FittedStage):
         found = {"text": module.text.value.identity}
         stage = self.tokenizer(cfg)
         if stage is not None:
-            found["representation"] = read_model(needs[stage.name].path, stage.name).representation.identity()
+            found["representation"] = read_model(needs[stage.name].path, stage.name).identity()
         return found

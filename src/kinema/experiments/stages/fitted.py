@@ -79,6 +79,17 @@ class FittedStage(Stage):
         elif train:
             require_windows(store, train.get("window", 64), train.get("legacy_windows", False), "train", "val")
 
+    def prepare(self, model: Any, store: PackedStore) -> None:
+        """Give a new model what it keeps of the corpus: statistics."""
+        from kinema.motion.representation import Representation
+
+        for part in model.modules():
+            if isinstance(part, Representation):
+                part.fit(store.statistics)
+
+    def finish(self, model: Any, store: PackedStore) -> None:
+        """Give a trained model what it keeps of the corpus as it sees it now."""
+
     def module(
         self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> StageModule:

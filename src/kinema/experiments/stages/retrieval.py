@@ -51,7 +51,7 @@ class RetrievalStage(Stage):
         tokenizer = read_model(needs[source].path, source)
         text = encode_captions(text_encoder(cfg, device), store, "train")
         database = build_database(store, text, tokenizer, max_frames=self.config(cfg).max_frames)
-        own = {"text": text.identity, "representation": tokenizer.representation.identity()}
+        own = {"text": text.identity, "representation": tokenizer.identity()}
         meta = {"part": self.name, "label": folder.path.name, "corpus": store.hash, **own}
         weights.save(database, database.spec or {}, folder.weights, **meta)
         write_text_encoder(folder.path, cfg.text.name, cfg.text.path)

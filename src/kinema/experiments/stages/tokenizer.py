@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
@@ -51,6 +53,15 @@ class TokenizerStage(FittedStage):
             )
         return tokenizer
 
+    def prepare(self, model: Any, store: PackedStore) -> None:
+        """Give it the statistics, and the training clips to take more from."""
+        super().prepare(model, store)
+        model.prepare(_training_clips(store))
+
+    def finish(self, model: Any, store: PackedStore) -> None:
+        """Give it the training clips again."""
+        model.finish(_training_clips(store))
+
     def callbacks(
         self, cfg: DictConfig, module: Any, store: PackedStore, needs: dict[str, RunFolder], record: Record
     ) -> list[Observer]:
@@ -61,3 +72,7 @@ class TokenizerStage(FittedStage):
         from kinema.training.observers import Samples
 
         return [Samples(cfg.callbacks.samples_every, record, Reconstructions(cfg, store, record))]
+
+
+def _training_clips(store: PackedStore) -> Iterator[np.ndarray]:
+    return (store.clip_frames(int(clip)) for clip in store.split_clips("train"))
