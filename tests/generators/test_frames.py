@@ -51,6 +51,7 @@ MODELS = {
     "msflow": msflow,
     "msflow_groups": lambda **options: msflow(**(GROUPED | options)),
     "msflow_cross": lambda **options: msflow(text_attention="cross", refiner_layers=0, **options),
+    "msflow_once": lambda **options: msflow(text_attention="cross", refiner_timed=False, null_tokens=2, **options),
     "softmax": lambda **options: motiondiffuse(attention="softmax", **options),
 }
 

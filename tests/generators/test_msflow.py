@@ -52,7 +52,7 @@ def test_an_untrained_refiner_changes_no_word():
     refiner = Refiner(8, 2, 2)
     refiner.reset_parameters()
     words = torch.randn(2, 5, 8)
-    assert torch.equal(refiner(words, torch.tensor([0.3]), frame_mask(torch.tensor([5, 2]), 5)), words)
+    assert torch.equal(refiner(words, frame_mask(torch.tensor([5, 2]), 5), torch.tensor([0.3])), words)
 
 
 @pytest.mark.parametrize(("attention", "patch", "block"), [("joint", 1, 1), ("joint", 2, 2), ("cross", 1, 3)])
@@ -105,6 +105,18 @@ def test_place_in_time_matters():
     x = torch.randn(1, 8, 6)
     first = predict(model, x, text([3]))
     assert not torch.allclose(predict(model, x.flip(1), text([3])).flip(1), first, atol=1e-4)
+
+
+def test_an_untimed_refiner_reads_the_text_once():
+    timed, once = make(), make(refiner_timed=False)
+    words, x, times = text([4]), torch.randn(1, FRAMES, 6), torch.tensor([0.2])
+    assert torch.equal(timed.denoiser.read(words)[0], timed.denoiser.words(words)[0])
+    refined, mask = once.denoiser.read(words)
+    assert not torch.equal(refined, once.denoiser.words(words)[0])
+    calls = []
+    once.denoiser.refiner.register_forward_hook(lambda *_: calls.append(1))
+    once.denoiser(x, times, refined, mask)
+    assert calls == []
 
 
 def test_null_tokens_hide_how_long_the_text_was():

@@ -23,7 +23,8 @@ class MsflowDenoiser(Denoiser):
     """Transformer over `patch` frames a token, under the words of the text and the time.
 
     `text_attention`: "joint" lets two streams attend to each other, "cross" lets motion attend to the words. Before
-    that, `refiner_layers` let the words attend to each other under the time. `mask` "causal" hides later blocks of
+    that, `refiner_layers` let the words attend to each other, under the time if the refiner is timed: else they, and
+    with "cross" all that motion reads of the text, are the same for all times, and a sampler pays for them once. `mask` "causal" hides later blocks of
     `mask_block` tokens. `null_tokens` learnt tokens stand in front of the words (0: none), so that a text without words
     is these alone, whatever its length was. `shared_modulation` reads shifts, scales and gates once for all blocks.
     """
@@ -42,6 +43,7 @@ class MsflowDenoiser(Denoiser):
         mask_block: int = 1,
         text_attention: str = "joint",
         refiner_layers: int = 2,
+        refiner_timed: bool = True,
         null_tokens: int = 0,
         shared_modulation: bool = False,
     ) -> None:
@@ -51,7 +53,8 @@ class MsflowDenoiser(Denoiser):
         self.motion_in = nn.Linear(patch * frame_dim, width)
         self.motion_out = nn.Linear(width, patch * frame_dim)
         self.words = Words(token_dim, width, null_tokens)
-        self.refiner = Refiner(width, heads, refiner_layers) if refiner_layers else None
+        self.refiner = Refiner(width, heads, refiner_layers, timed=refiner_timed) if refiner_layers else None
+        self.refines_once = self.refiner is not None and not refiner_timed
         self.time = nn.Sequential(nn.Linear(FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
         self.pooled = nn.Linear(width, width)
         self.joint = text_attention == TEXT_ATTENTION[0]
@@ -85,7 +88,8 @@ class MsflowDenoiser(Denoiser):
 
     def read(self, text: TextFeatures) -> Read:
         """Read each word, behind the learnt tokens if there are any."""
-        return self.words(text)
+        words, mask = self.words(text)
+        return (self.refiner(words, mask) if self.refines_once else words), mask
 
     def forward(
         self,
@@ -102,7 +106,7 @@ class MsflowDenoiser(Denoiser):
         # A token of several frames may hold padding beside the motion's last frames.
         x = F.pad(x * shown[..., None], (0, 0, 0, -frames % self.patch))
         motion = self.motion_in(x.unflatten(1, (-1, self.patch)).flatten(2))
-        text = condition if self.refiner is None else self.refiner(condition, time, words)
+        text = condition if self.refiner is None or self.refines_once else self.refiner(condition, words, time)
         c = F.silu(self._embed_time(time) + self.pooled(masked_mean(text, words)))
         c = c if self.modulation is None else self.modulation(c)
         motion = self._attend(motion, text, c, words, shown[:, :: self.patch])

@@ -54,6 +54,7 @@ class MSFlow(FrameDiffusion):
         mask_block: Size = 1,
         text_attention: Annotated[str, OneOf(TEXT_ATTENTION)] = "joint",
         refiner_layers: OptionalDepth = 2,
+        refiner_timed: bool = True,
         null_tokens: OptionalDepth = 0,
         shared_modulation: bool = False,
         physics: Physics | None = None,
@@ -73,6 +74,7 @@ class MSFlow(FrameDiffusion):
             mask_block=mask_block,
             text_attention=text_attention,
             refiner_layers=refiner_layers,
+            refiner_timed=refiner_timed,
             null_tokens=null_tokens,
             shared_modulation=shared_modulation,
         )

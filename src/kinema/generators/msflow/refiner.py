@@ -1,4 +1,4 @@
-"""Refine a text's words under the diffusion time: self-attention, gated by time and text (FRONTIER §2.2)."""
+"""Refine a text's words: self-attention, gated by the text and, as published, the diffusion time (FRONTIER §2.2)."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class RefinerLayer(nn.Module):
 
 
 class Refiner(nn.Module):
-    """Layers over the words of a text, conditioned on the time and on the words' mean."""
+    """Layers over the words of a text, conditioned on the words' mean and, if `timed`, on the time."""
 
-    def __init__(self, width: int, heads: int, layers: int) -> None:
+    def __init__(self, width: int, heads: int, layers: int, *, timed: bool = True) -> None:
         super().__init__()
         self.width = width
         self.inputs = nn.Linear(width, width)
-        self.time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+        self.time = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width)) if timed else None
         self.text = nn.Sequential(nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
         self.layers = nn.ModuleList(RefinerLayer(width, heads) for _ in range(layers))
 
