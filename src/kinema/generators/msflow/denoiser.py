@@ -24,9 +24,10 @@ class MsflowDenoiser(Denoiser):
 
     `text_attention`: "joint" lets two streams attend to each other, "cross" lets motion attend to the words. Before
     that, `refiner_layers` let the words attend to each other, under the time if the refiner is timed: else they, and
-    with "cross" all that motion reads of the text, are the same for all times, and a sampler pays for them once. `mask` "causal" hides later blocks of
-    `mask_block` tokens. `null_tokens` learnt tokens stand in front of the words (0: none), so that a text without words
-    is these alone, whatever its length was. `shared_modulation` reads shifts, scales and gates once for all blocks.
+    with "cross" all that motion reads of the text, are the same for all times, and a sampler pays for them once. `mask`
+    "causal" hides later blocks of `mask_block` tokens. `null_tokens` learnt tokens stand in front of the words (0:
+    none), so that a text without words is these alone, whatever its length was. `shared_modulation` reads shifts,
+    scales and gates once for all blocks.
     """
 
     def __init__(

@@ -59,10 +59,13 @@ class Refiner(nn.Module):
             nn.init.zeros_(layer.gates.weight)
             nn.init.zeros_(layer.gates.bias)
 
-    def forward(self, words: Float[Tensor, "b l w"], time: Tensor, mask: Bool[Tensor, "b l"]) -> Float[Tensor, "b l w"]:
-        """Refine the words at one time for all rows or one per row."""
-        embedded = timestep_embedding(time.reshape(-1), self.width).to(words.dtype)
-        condition = self.time(embedded) + self.text(masked_mean(words, mask))
+    def forward(
+        self, words: Float[Tensor, "b l w"], mask: Bool[Tensor, "b l"], time: Tensor | None = None
+    ) -> Float[Tensor, "b l w"]:
+        """Refine the words, at one time for all rows or one per row where it is timed."""
+        condition = self.text(masked_mean(words, mask))
+        if self.time is not None and time is not None:
+            condition = condition + self.time(timestep_embedding(time.reshape(-1), self.width).to(words.dtype))
         pairs = (mask[:, None, :] & mask[:, :, None])[:, None]
         # A row that may see nothing sees itself: some kernels give NaN for an empty row, and its gradient spreads.
         pairs = pairs | torch.eye(mask.shape[1], dtype=torch.bool, device=mask.device)
