@@ -1,17 +1,16 @@
-"""Split positions into heads whose queries and keys are normalised, and may be turned by their place."""
+"""Split rows into heads whose queries and keys are normalised, and may be turned by their place."""
 
 from __future__ import annotations
 
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.nn.rotary import rotary
+from kinema.nn.rows import Rows
 
-Heads = tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h n d"], Float[Tensor, "b h n d"]]
-"""Queries, keys and values of one stream."""
-Across = tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h l d"], Float[Tensor, "b h l d"]]
-"""Queries of one stream, keys and values of another."""
+Heads = tuple[Float[Tensor, "b h q d"], Float[Tensor, "b h k d"], Float[Tensor, "b h k d"]]
+"""Queries, keys and values, padded."""
 
 
 class Projections(nn.Module):
@@ -30,33 +29,31 @@ class Projections(nn.Module):
         self.key_norm = nn.RMSNorm(width // heads, eps=1e-6)
         self.proj = nn.Linear(width, width)
 
-    def split(
-        self, x: Float[Tensor, "b n w"], positions: Shaped[Tensor, " n"] | None = None, base: float = 10000.0
-    ) -> Heads:
-        """Project, normalise queries and keys, and turn them by their `positions` (None: they have none)."""
+    def split(self, x: Float[Tensor, "m w"], rows: Rows, *, base: float | None = None) -> Heads:
+        """Project, normalise queries and keys, and turn them by their place in a rotary of `base` (None: not)."""
         query, key, value = self._heads(x, 0, 3)
         query, key = self.query_norm(query), self.key_norm(key)
-        if positions is not None:
-            query, key = rotary(query, positions, base), rotary(key, positions, base)
-        return query, key, value
+        if base is not None:
+            query, key = rotary(query, rows.place, base), rotary(key, rows.place, base)
+        return _padded(query, rows), _padded(key, rows), _padded(value, rows)
 
-    def across(self, x: Float[Tensor, "b n w"], context: Float[Tensor, "b l w"]) -> Across:
+    def across(self, x: Float[Tensor, "m w"], rows: Rows, context: Float[Tensor, "l w"], others: Rows) -> Heads:
         """Make queries of `x`, keys and values of the context."""
         (query,), (key, value) = self._heads(x, 0, 1), self._heads(context, 1, 3)
-        return self.query_norm(query), self.key_norm(key), value
+        return _padded(self.query_norm(query), rows), _padded(self.key_norm(key), others), _padded(value, others)
 
-    def _heads(self, x: Tensor, start: int, end: int) -> Float[Tensor, "k b h n d"]:
+    def join(self, attended: Float[Tensor, "b h n d"], rows: Rows) -> Float[Tensor, "m w"]:
+        """Lay the heads of each row side by side and project."""
+        return self.proj(rows.pack(attended.transpose(1, 2)).flatten(1))
+
+    def _heads(self, x: Tensor, start: int, end: int) -> tuple[Float[Tensor, "m h d"], ...]:
         width = x.shape[-1]
-        rows = F.linear(x, self.qkv.weight[start * width : end * width])
-        return rows.unflatten(-1, (end - start, self.heads, -1)).permute(2, 0, 3, 1, 4)
-
-    def join(self, attended: Float[Tensor, "b h n d"]) -> Float[Tensor, "b n w"]:
-        """Lay the heads side by side and project."""
-        return self.proj(attended.transpose(1, 2).flatten(2))
+        found = F.linear(x, self.qkv.weight[start * width : end * width])
+        return found.unflatten(-1, (end - start, self.heads, -1)).unbind(1)
 
 
 class CrossAttention(nn.Module):
-    """Normalise positions and attend to a context; closed at the start."""
+    """Normalise rows and attend to a context; closed at the start."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -70,9 +67,13 @@ class CrossAttention(nn.Module):
         nn.init.zeros_(self.attention.proj.bias)
 
     def forward(
-        self, x: Float[Tensor, "b n w"], context: Float[Tensor, "b l w"], mask: Bool[Tensor, "b l"] | None = None
-    ) -> Float[Tensor, "b n w"]:
-        """Read the positions of the context that `mask` shows (True = real)."""
-        heads = self.attention.across(self.norm(x), context)
-        mask = None if mask is None else mask[:, None, None]
-        return self.attention.join(F.scaled_dot_product_attention(*heads, attn_mask=mask))
+        self, x: Float[Tensor, "m w"], rows: Rows, context: Float[Tensor, "l w"], others: Rows
+    ) -> Float[Tensor, "m w"]:
+        """Read the context."""
+        heads = self.attention.across(self.norm(x), rows, context, others)
+        attended = F.scaled_dot_product_attention(*heads, attn_mask=others.real[:, None, None])
+        return self.attention.join(attended, rows)
+
+
+def _padded(x: Float[Tensor, "m h d"], rows: Rows) -> Float[Tensor, "b h n d"]:
+    return rows.pad(x).transpose(1, 2)

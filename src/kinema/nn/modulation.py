@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.nn.attention import Attention
 from kinema.nn.heads import CrossAttention
+from kinema.nn.rows import Rows
 
 
 def modulate(x: Float[Tensor, "*b w"], shift: Float[Tensor, "*#b w"], scale: Float[Tensor, "*#b w"]) -> Tensor:
@@ -51,5 +53,9 @@ class AdaLNBlock(nn.Module):
         shift1, scale1, gate1, shift2, scale2, gate2 = self.modulation(condition)[:, None].chunk(6, dim=-1)
         x = x + gate1 * self.attention(modulate(self.norm(x), shift1, scale1), mask)
         if self.cross is not None and context is not None:
-            x = x + self.cross(x, context, context_mask)
+            rows, others = (
+                Rows(torch.ones_like(held[..., 0], dtype=torch.bool) if shown is None else shown)
+                for held, shown in ((x, mask), (context, context_mask))
+            )
+            x = x + rows.pad(self.cross(rows.pack(x), rows, others.pack(context), others))
         return x + gate2 * self.mlp(modulate(self.norm(x), shift2, scale2))

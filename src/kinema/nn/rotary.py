@@ -7,13 +7,11 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 
-def rotary(
-    x: Float[Tensor, "b h n d"], positions: Shaped[Tensor, " n"], base: float = 10000.0
-) -> Float[Tensor, "b h n d"]:
+def rotary(x: Float[Tensor, "m h d"], positions: Shaped[Tensor, " m"], base: float = 10000.0) -> Float[Tensor, "m h d"]:
     """Turn each interleaved pair of channels by position * base^(-pair / pairs); products see differences alone."""
     pairs = x.shape[-1] // 2
     frequency = base ** (-torch.arange(pairs, device=x.device, dtype=torch.float32) / pairs)
-    angle = positions.to(x.device, torch.float32)[:, None] * frequency
+    angle = (positions.to(x.device, torch.float32)[:, None] * frequency)[:, None]
     cos, sin = angle.cos().to(x.dtype), angle.sin().to(x.dtype)
     even, odd = x.unflatten(-1, (pairs, 2)).unbind(-1)
     return torch.stack((even * cos - odd * sin, even * sin + odd * cos), dim=-1).flatten(-2)

@@ -1,17 +1,20 @@
-"""Let streams of positions attend to themselves and to each other in modulated blocks."""
+"""Let streams of rows attend to themselves and to each other in modulated blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.nn.heads import CrossAttention, Projections
 from kinema.nn.modulation import modulate
+from kinema.nn.rows import Rows
 from kinema.nn.swiglu import SwiGLU
+
+BASE = 10000.0
+Ways = tuple[Float[Tensor, "m w"], ...]
+"""Shifts, scales and gates of each row."""
 
 
 class Modulation(nn.Module):
@@ -28,10 +31,10 @@ class Modulation(nn.Module):
         self.read = None if shared else nn.Linear(width, count * width)
         self.close()
 
-    def forward(self, condition: Float[Tensor, "b m"]) -> Sequence[Float[Tensor, "b 1 w"]]:
-        """Return `count` vectors; `condition` is activated, or already the shared table's."""
-        values = condition[:, : len(self.offset)] + self.offset if self.offset is not None else self.read(condition)
-        return values[:, None].chunk(self.count, dim=-1)
+    def forward(self, condition: Float[Tensor, "b c"], rows: Rows) -> Ways:
+        """Return `count` vectors for each row; `condition` is activated, or already the shared table's."""
+        values = condition[:, : len(self.offset)] + self.offset if self.read is None else self.read(condition)
+        return rows.spread(values).chunk(self.count, dim=-1)
 
     def close(self) -> None:
         """Start at zero."""
@@ -51,16 +54,15 @@ class Stream(nn.Module):
         self.mlp = SwiGLU(width, hidden)
         self.modulation = Modulation(width, 6, shared)
 
-    def finish(
-        self, x: Float[Tensor, "b n w"], attended: Float[Tensor, "b h n d"], way: Sequence[Float[Tensor, "b 1 w"]]
-    ) -> Float[Tensor, "b n w"]:
-        """Add what was attended to, then the transformation of each position, both gated."""
-        x = x + way[2] * self.attention.join(attended)
-        return self.transform(x, way)
+    def attended(
+        self, x: Float[Tensor, "m w"], attended: Float[Tensor, "b h n d"], rows: Rows, ways: Ways
+    ) -> Float[Tensor, "m w"]:
+        """Add what was attended to, gated."""
+        return x + ways[2] * self.attention.join(attended, rows)
 
-    def transform(self, x: Float[Tensor, "b n w"], way: Sequence[Float[Tensor, "b 1 w"]]) -> Float[Tensor, "b n w"]:
-        """Add the gated transformation of each position."""
-        return x + way[5] * self.mlp(modulate(self.norm2(x), way[3], way[4]))
+    def transformed(self, x: Float[Tensor, "m w"], ways: Ways) -> Float[Tensor, "m w"]:
+        """Add the gated transformation of each row."""
+        return x + ways[5] * self.mlp(modulate(self.norm2(x), ways[3], ways[4]))
 
 
 class Context(nn.Module):
@@ -75,16 +77,16 @@ class Context(nn.Module):
         self.modulation = Modulation(width, 2, shared)
 
     def forward(
-        self, x: Float[Tensor, "b n w"], condition: Float[Tensor, "b m"]
+        self, x: Float[Tensor, "m w"], condition: Float[Tensor, "b c"], rows: Rows
     ) -> tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h n d"]]:
         """Return keys and values."""
-        x = modulate(self.norm1(x), *self.modulation(condition))
-        key, value = self.kv(x).unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
-        return self.key_norm(key), value
+        x = modulate(self.norm1(x), *self.modulation(condition, rows))
+        key, value = self.kv(x).unflatten(-1, (2, self.heads, -1)).unbind(1)
+        return rows.pad(self.key_norm(key)).transpose(1, 2), rows.pad(value).transpose(1, 2)
 
 
 class JointBlock(nn.Module):
-    """Two streams, motion and text, that attend to the positions of both (FRONTIER §2.2).
+    """Two streams, motion and text, that attend to the rows of both (FRONTIER §2.2).
 
     `last`: the text ends here, so that what would change it isn't built.
     """
@@ -93,7 +95,6 @@ class JointBlock(nn.Module):
         super().__init__()
         self.motion = Stream(width, heads, hidden, shared)
         self.text = Context(width, heads, shared) if last else Stream(width, heads, hidden, shared)
-        self.last = last
 
     def close(self) -> None:
         """Make the block the identity, as it starts."""
@@ -102,25 +103,29 @@ class JointBlock(nn.Module):
 
     def forward(
         self,
-        motion: Float[Tensor, "b n w"],
-        text: Float[Tensor, "b l w"],
-        condition: Float[Tensor, "b m"],
-        positions: Shaped[Tensor, " n"],
+        motion: Float[Tensor, "m w"],
+        frames: Rows,
+        text: Float[Tensor, "l w"],
+        words: Rows,
+        condition: Float[Tensor, "b c"],
         mask: Bool[Tensor, "b 1 #q k"],
-    ) -> tuple[Float[Tensor, "b n w"], Float[Tensor, "b l w"]]:
+    ) -> tuple[Float[Tensor, "m w"], Float[Tensor, "l w"]]:
         """Transform both; `mask`, True = may be seen, is over (text, motion) keys, and queries where they differ."""
-        part, way, size = self.motion, self.motion.modulation(condition), text.shape[1]
-        query, key, value = part.attention.split(modulate(part.norm1(motion), way[0], way[1]), positions)
+        part, ways, size = self.motion, self.motion.modulation(condition, frames), words.real.shape[1]
+        own = part.attention.split(modulate(part.norm1(motion), ways[0], ways[1]), frames, base=BASE)
         if isinstance(self.text, Context):
-            keys, values = self.text(text, condition)
-            heads = query, torch.cat((keys, key), dim=2), torch.cat((values, value), dim=2)
-            attended = F.scaled_dot_product_attention(*heads, attn_mask=mask[:, :, -motion.shape[1] :])
-            return part.finish(motion, attended, way), text
-        other = self.text.modulation(condition)
-        words = self.text.attention.split(modulate(self.text.norm1(text), other[0], other[1]))
-        heads = [torch.cat(both, dim=2) for both in zip(words, (query, key, value), strict=True)]
+            keys, values = self.text(text, condition, words)
+            heads = own[0], torch.cat((keys, own[1]), dim=2), torch.cat((values, own[2]), dim=2)
+            mask = mask[:, :, -frames.real.shape[1] :]
+            attended = F.scaled_dot_product_attention(*heads, attn_mask=mask)
+            return part.transformed(part.attended(motion, attended, frames, ways), ways), text
+        other, others = self.text, self.text.modulation(condition, words)
+        read = other.attention.split(modulate(other.norm1(text), others[0], others[1]), words)
+        heads = [torch.cat(both, dim=2) for both in zip(read, own, strict=True)]
         attended = F.scaled_dot_product_attention(*heads, attn_mask=mask)
-        return part.finish(motion, attended[:, :, size:], way), self.text.finish(text, attended[:, :, :size], other)
+        motion = part.attended(motion, attended[:, :, size:], frames, ways)
+        text = other.attended(text, attended[:, :, :size], words, others)
+        return part.transformed(motion, ways), other.transformed(text, others)
 
 
 class CrossBlock(nn.Module):
@@ -130,7 +135,6 @@ class CrossBlock(nn.Module):
         super().__init__()
         self.stream = Stream(width, heads, hidden, shared)
         self.cross = CrossAttention(width, heads) if cross else None
-        self.close()
 
     def close(self) -> None:
         """Make the block the identity, as it starts."""
@@ -140,19 +144,19 @@ class CrossBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b n w"],
-        condition: Float[Tensor, "b m"],
-        positions: Shaped[Tensor, " n"],
-        mask: Bool[Tensor, "b 1 #q n"] | None = None,
-        context: Float[Tensor, "b l w"] | None = None,
-        context_mask: Bool[Tensor, "b l"] | None = None,
-        base: float = 10000.0,
-    ) -> Float[Tensor, "b n w"]:
-        """Transform `x`; masks are over its own positions and over the context's, True = may be seen."""
-        stream = self.stream
-        way = stream.modulation(condition)
-        heads = stream.attention.split(modulate(stream.norm1(x), way[0], way[1]), positions, base)
-        x = x + way[2] * stream.attention.join(F.scaled_dot_product_attention(*heads, attn_mask=mask))
-        if self.cross is not None and context is not None:
-            x = x + self.cross(x, context, context_mask)
-        return stream.transform(x, way)
+        x: Float[Tensor, "m w"],
+        rows: Rows,
+        condition: Float[Tensor, "b c"],
+        mask: Bool[Tensor, "b 1 #q k"],
+        context: Float[Tensor, "l w"] | None = None,
+        others: Rows | None = None,
+        *,
+        base: float = BASE,
+    ) -> Float[Tensor, "m w"]:
+        """Transform `x`; `mask`, True = may be seen, is over its own positions."""
+        part, ways = self.stream, self.stream.modulation(condition, rows)
+        heads = part.attention.split(modulate(part.norm1(x), ways[0], ways[1]), rows, base=base)
+        x = part.attended(x, F.scaled_dot_product_attention(*heads, attn_mask=mask), rows, ways)
+        if self.cross is not None and context is not None and others is not None:
+            x = x + self.cross(x, rows, context, others)
+        return part.transformed(x, ways)

@@ -11,6 +11,7 @@ from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.generators.msflow.masks import MASKS, sees
 from kinema.generators.msflow.refiner import Refiner, masked_mean
 from kinema.nn.embeddings import timestep_embedding
+from kinema.nn.rows import Rows
 from kinema.nn.streams import CrossBlock, JointBlock
 from kinema.nn.words import Words
 from kinema.types import TextFeatures
@@ -106,24 +107,24 @@ class MsflowDenoiser(Denoiser):
         shown = torch.ones_like(x[..., 0], dtype=torch.bool) if real is None else real
         # A token of several frames may hold padding beside the motion's last frames.
         x = F.pad(x * shown[..., None], (0, 0, 0, -frames % self.patch))
-        motion = self.motion_in(x.unflatten(1, (-1, self.patch)).flatten(2))
         text = condition if self.refiner is None or self.refines_once else self.refiner(condition, words, time)
         c = F.silu(self._embed_time(time) + self.pooled(masked_mean(text, words)))
         c = c if self.modulation is None else self.modulation(c)
-        motion = self._attend(motion, text, c, words, shown[:, :: self.patch])
-        return self.motion_out(motion).unflatten(2, (self.patch, -1)).flatten(1, 2)[:, :frames]
+        rows, others = Rows(shown[:, :: self.patch]), Rows(words)
+        motion = self.motion_in(rows.pack(x.unflatten(1, (-1, self.patch)).flatten(2)))
+        motion = self.motion_out(self._attend(motion, rows, others.pack(text), others, c))
+        return rows.pad(motion).unflatten(2, (self.patch, -1)).flatten(1, 2)[:, :frames]
 
-    def _attend(self, motion: Tensor, text: Tensor, c: Tensor, words: Tensor, shown: Tensor) -> Tensor:
-        positions = torch.arange(motion.shape[1], device=motion.device)
-        mask = sees(words, shown, causal=self.causal, block=self.mask_block)
+    def _attend(self, motion: Tensor, rows: Rows, text: Tensor, words: Rows, c: Tensor) -> Float[Tensor, "m w"]:
+        mask = sees(words.real, rows.real, causal=self.causal, block=self.mask_block)
         if self.joint:
             for block in self.blocks:
-                motion, text = block(motion, text, c, positions, mask)
+                motion, text = block(motion, rows, text, words, c, mask)
             return motion
-        size = text.shape[1]
+        size = words.real.shape[1]
         own = mask[:, :, size:, size:] if self.causal else mask[..., size:]
         for block in self.blocks:
-            motion = block(motion, c, positions, own, text, words)
+            motion = block(motion, rows, c, own, text, words)
         return motion
 
     def _embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
