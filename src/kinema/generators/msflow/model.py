@@ -12,7 +12,7 @@ from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.errors import per_sequence
 from kinema.diffusion.flow import Flow
 from kinema.generators import TrainingLatents
-from kinema.generators.frames.generator import FrameDiffusion
+from kinema.generators.frames.generator import SequenceDiffusion
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.frames.training import FrameDraws
 from kinema.generators.msflow.denoiser import TEXT_ATTENTION, MsflowDenoiser
@@ -22,12 +22,14 @@ from kinema.generators.texts import without_text, without_words
 from kinema.options import Depth, OneOf, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
-from kinema.types import TextFeatures
+from kinema.types import LatentSpace, TextFeatures
 
 
 @buildable
-class MSFlow(FrameDiffusion):
+class MSFlow(SequenceDiffusion):
     """Flow in motion space (FRONTIER §2): XYZ, all or the essential dims, as the tokenizer gives them.
+
+    With a `unit` of more than one frame it is a flow on a tokenizer's continuous latents, `frame_dim` channels each.
 
     `process` is a `Flow`, published with prediction "x1" and source_scale 5. The other options are those of
     `MsflowDenoiser`. Without `null_tokens` a dropped text has zeros in place of its words' features, so that its length
@@ -45,6 +47,7 @@ class MSFlow(FrameDiffusion):
         frame_dim: Size,
         process: DDPM | Flow,
         token_dim: Size,
+        unit: Size = 1,
         width: Size = 512,
         feedforward: Size = 1024,
         layers: Depth = 8,
@@ -81,8 +84,7 @@ class MSFlow(FrameDiffusion):
         super().__init__(
             denoiser,
             process,
-            frame_dim=frame_dim,
-            max_frames=max_frames,
+            space=LatentSpace("frames" if unit == 1 else "continuous", frame_dim, max_frames // unit, unit),
             condition_drop=condition_drop,
             mask_frames=True,
             average=per_sequence,
