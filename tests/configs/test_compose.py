@@ -35,7 +35,7 @@ METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 CORPORA = ("humanml3d", "kit_ml")
 OFFLINE = ("evaluator.words=hashed", "evaluator.tokens=hashed")
 # Options that no method names, and one whose parts they fit.
-OTHERS = {"bad_notime": "bad_oaas", "fsq": "t2m_gpt"}
+OTHERS = {"bad_notime": "bad_oaas", "fsq": "t2m_gpt", "acmdm_xl": "acmdm"}
 FSQ = "tokenizers.fsq"  # cannot be built without memory
 LIBRARIES = {FSQ: "vector_quantize_pytorch", "generators.motiongpt": "transformers"}
 
@@ -140,6 +140,9 @@ SIZES = {
     "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
     "remodiffuse": ({"humanml3d": 0, "kit_ml": 0}, 46_966_791),
+    # Derived from FRONTIER §3: no paper's or file's count is known.
+    "acmdm": ({"humanml3d": 17_076_743, "kit_ml": 17_076_743}, 39_055_960),
+    "acmdm_raw": ({"humanml3d": 0, "kit_ml": 0}, 39_055_960 - (88 - 66) * (2 * 512 + 1)),
     # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
     "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
 }
@@ -418,7 +421,23 @@ REMODIFFUSE = {
     "generator.reads_tokens": True,
     "method.lengths": "real",
 }
+# FRONTIER §2.5, §3
+ACMDM = {
+    "representation.kind": "essential",
+    **under("tokenizer.model", width=512, channels=4, depth=3, dilation_growth=3, down_levels=2, dropout=0.2),
+    **under("tokenizer.model", statistics="shared_axis"),
+    **under("tokenizer.train", batch_size=256, lr=2e-4, epochs=50, window=64, steps=None, ema=None),
+    **under("generator.model", width=512, layers=8, heads=8, patch=(22, 21), condition_drop=0.1, unit=4, channels=4),
+    **under("generator.train", batch_size=64, lr=2e-4, betas=[0.9, 0.99], weight_decay=1e-5, warmup=2000, epochs=500),
+    **under("generator.train", milestones=[50_000], gamma=0.1, ema=0.9999, ema_warmup=False, clip="absent"),
+    **under("generator.sampling", guidance=3.0),
+    "generator.reads_tokens": False,
+    "method.lengths": "real",
+}
 PAPERS = {
+    "acmdm": ACMDM,
+    "acmdm_raw": {k: v for k, v in ACMDM.items() if not k.startswith("tokenizer.")}
+    | {"generator.model.unit": 1, "generator.model.channels": 3, "tokenizer.train": None},
     "remodiffuse": REMODIFFUSE,
     "mdm": MDM,
     "mld": MLD,

@@ -52,13 +52,21 @@ class PlacedTokenizer(MotionTokenizer):
             recover_joints(torch.from_numpy(np.asarray(rows, np.float64)), skeleton).flatten(1).numpy()
             for rows in clips
         )
-        mean, std = mean.reshape(-1, 3), std.reshape(-1, 3)
+        for buffer, values in zip(
+            (self.mean, self.std), self.pooled(mean.reshape(-1, 3), std.reshape(-1, 3)), strict=True
+        ):
+            buffer.copy_(values)
+
+    def pooled(
+        self, mean: Float[np.ndarray, "j c"], std: Float[np.ndarray, "j c"]
+    ) -> tuple[Float[Tensor, "j c"], Float[Tensor, "j c"]]:
+        """Pool moments over the joints, where they share them; what never changes is divided by 1."""
         if self.statistics == "shared_axis":
-            pooled = mean.mean(0)
-            squares = (np.square(std) + np.square(mean)).mean(0) - np.square(pooled)
-            mean, std = (np.broadcast_to(values, mean.shape) for values in (pooled, np.sqrt(squares)))
-        self.mean.copy_(torch.from_numpy(mean.astype(np.float32)))
-        self.std.copy_(torch.from_numpy(np.where(std > 0, std, 1).astype(np.float32)))
+            whole = mean.mean(0)
+            squares = (np.square(std) + np.square(mean)).mean(0) - np.square(whole)
+            mean, std = (np.broadcast_to(values, mean.shape) for values in (whole, np.sqrt(squares)))
+        std = np.where(std > 0, std, 1)
+        return torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(std.astype(np.float32))
 
     def identity(self) -> dict[str, str]:
         """Name the rows' representation, and the statistics of the joints."""
