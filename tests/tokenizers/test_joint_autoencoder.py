@@ -14,7 +14,7 @@ from kinema.motion.representation import Representation
 from kinema.motion.skeleton import HUMANML3D
 from kinema.motion.statistics import Statistics
 from kinema.nn.causal import CausalConv
-from kinema.tokenizers.joint_autoencoder import JointAutoEncoder
+from kinema.tokenizers.joint_autoencoder import JointAutoEncoder, scattered
 from kinema.types import Latents, MotionBatch
 
 FRAMES = 40
@@ -118,7 +118,7 @@ def test_standardised_latents_are_decoded_as_they_were_encoded():
 
 
 def test_the_loss_is_of_real_frames_and_falls():
-    model = make(width=16, dropout=0.0).train()
+    model = make(width=16, dropout=0.0, scatter=False).train()
     motion = batch(40, 23)
     padded = MotionBatch(torch.nn.functional.pad(motion.features, (0, 0, 0, 8)), motion.lengths)
     first = model.loss(motion)["loss"]
@@ -130,6 +130,33 @@ def test_the_loss_is_of_real_frames_and_falls():
         loss.backward()
         optimizer.step()
     assert loss < first / 3
+
+
+def test_windows_are_scattered_in_training_by_the_steps_draws_alone():
+    model, motion = make(dropout=0.0), batch(40, 40)
+
+    def loss(seed: int, shard: tuple[int, int] = (0, 1), part: slice = slice(None)) -> torch.Tensor:
+        own = MotionBatch(motion.features[part], motion.lengths[part])
+        return model.loss(own, generator=torch.Generator().manual_seed(seed), shard=shard)["loss"]
+
+    assert loss(1) == loss(2)
+    model.train()
+    assert loss(1) == loss(1) != loss(2)
+    halves = [loss(1, (rank, 2), slice(rank, rank + 1)) for rank in (0, 1)]
+    torch.testing.assert_close(sum(halves) / 2, loss(1))
+
+
+def test_scattering_turns_and_moves_a_motion_as_a_whole():
+    joints = torch.randn(4000, 2, 5, 3, generator=torch.Generator().manual_seed(0))
+    noise = torch.randn(4000, 3, generator=torch.Generator().manual_seed(1))
+    found = scattered(joints, noise, torch.tensor([2.0, 3.0]))
+    torch.testing.assert_close(found[..., 1], joints[..., 1])
+    away = lambda x: (x[:, 0, 0] - x[:, 1, 3]).norm(dim=-1)  # noqa: E731
+    torch.testing.assert_close(away(found), away(joints), rtol=1e-4, atol=1e-4)
+    still = scattered(torch.tensor([0.0, 0.0, 1.0]).expand(4000, 1, 1, 3), noise, torch.zeros(2))[:, 0, 0]
+    assert still.mean(0).abs().max() < 0.05  # any way to face
+    placed = scattered(torch.zeros(4000, 1, 1, 3), noise, torch.tensor([2.0, 3.0]))[:, 0, 0]
+    torch.testing.assert_close(placed.std(0), torch.tensor([2.0, 0.0, 3.0]), rtol=0.05, atol=0.0)
 
 
 def test_too_short_motion_is_refused():

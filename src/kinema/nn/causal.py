@@ -22,7 +22,10 @@ class CausalConv(nn.Conv1d):
 
 
 class CausalBlock(nn.Module):
-    """Add a dilated convolution of the activated input to the input."""
+    """Add a dilated convolution of the activated input to the input.
+
+    Nothing else is activated, so that a way through the whole net is linear: where joints stand goes through at once.
+    """
 
     def __init__(self, width: int, dilation: int, dropout: float) -> None:
         super().__init__()
@@ -52,7 +55,7 @@ class CausalEncoder(nn.Module):
         self.head = CausalConv(width, outputs, 3)
 
     def forward(self, x: Float[Tensor, "b c t"]) -> Float[Tensor, "b d n"]:
-        x = F.silu(self.stem(x))
+        x = self.stem(x)
         for down, stack in zip(self.down, self.stacks, strict=True):
             x = stack(down(x))
         return self.head(x)
@@ -68,11 +71,10 @@ class CausalDecoder(nn.Module):
         self.stem = CausalConv(inputs, width, 3)
         self.stacks = nn.ModuleList(_stack(width, depth, growth, dropout) for _ in range(levels))
         self.up = nn.ModuleList(CausalConv(width, width, 3) for _ in range(levels))
-        self.mix = CausalConv(width, width, 3)
         self.head = CausalConv(width, outputs, 3)
 
     def forward(self, z: Float[Tensor, "b c n"]) -> Float[Tensor, "b d t"]:
-        x = F.silu(self.stem(z))
+        x = self.stem(z)
         for stack, up in zip(self.stacks, self.up, strict=True):
             x = up(F.interpolate(stack(x), scale_factor=2.0, mode="nearest"))
-        return self.head(F.silu(self.mix(F.silu(x))))
+        return self.head(x)

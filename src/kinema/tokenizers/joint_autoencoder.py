@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from kinema.motion.representation import Representation
+from kinema.motion.rows import turned
 from kinema.motion.statistics import moments
 from kinema.nn.causal import CausalDecoder, CausalEncoder
 from kinema.nn.mode import inference
@@ -19,6 +20,7 @@ from kinema.options import Depth, Levels, OneOf, OpenShare, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers.autoencoder import mean_of_real
 from kinema.tokenizers.placed import STATISTICS, PlacedTokenizer
+from kinema.tokenizers.posterior import standard_noise
 from kinema.types import Latents, LatentSpace, Losses, MotionBatch, frame_mask
 
 
@@ -28,7 +30,8 @@ class JointAutoEncoder(PlacedTokenizer):
 
     Convolutions run along time, never across joints, and see the past alone. Latents are standardised by their own
     moments over the training clips (`finish`), pooled as those of the joints are: `statistics` "shared_axis" or
-    "per_joint".
+    "per_joint". `scatter` turns and places every window of the training at random: rows don't tell where in its clip
+    it stood, and clips go farther than windows.
     """
 
     latent_mean: Float[Tensor, "j c"]
@@ -46,8 +49,10 @@ class JointAutoEncoder(PlacedTokenizer):
         dilation_growth: Size = 3,
         down_levels: Levels = 2,
         dropout: OpenShare = 0.2,
+        scatter: bool = True,
     ) -> None:
         super().__init__(representation, statistics)
+        self.scatter = scatter
         joints, unit = representation.skeleton.num_joints, 2**down_levels
         net = {"width": width, "levels": down_levels, "depth": depth, "growth": dilation_growth}
         self.encoder = CausalEncoder(3, channels, **net, dropout=dropout)
@@ -60,8 +65,12 @@ class JointAutoEncoder(PlacedTokenizer):
     def loss(
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
-        """Return SmoothL1 of the normalised joints over real frames."""
-        target = self.place(motion)
+        """Return SmoothL1 of the normalised joints over real frames; only training scatters."""
+        joints = self.joints(motion)
+        if self.scatter and self.training:
+            reach = (self.mean.square() + self.std.square()).sqrt()[0, [0, 2]]
+            joints = scattered(joints, standard_noise(joints[:, :1, 0], generator, shard)[:, 0], reach)
+        target = self.normalize(joints, motion.mask)
         output = self._decode(self._encode(target))
         real = frame_mask(self.space.covered(motion.lengths), output.shape[1])
         error = F.smooth_l1_loss(output, target[:, : output.shape[1]], reduction="none")
@@ -115,3 +124,15 @@ def _by_joint(net: CausalEncoder | CausalDecoder, x: Float[Tensor, "b t j c"]) -
     """Send every joint through as a sequence of its own."""
     columns = x.permute(0, 2, 3, 1)
     return net(columns.flatten(0, 1)).unflatten(0, columns.shape[:2]).permute(0, 3, 1, 2)
+
+
+def scattered(
+    joints: Float[Tensor, "b t j 3"], noise: Float[Tensor, "b 3"], reach: Float[Tensor, " 2"]
+) -> Float[Tensor, "b t j 3"]:
+    """Turn motions about the origin by any angle, and move them over the floor as far as `reach` (deviations of x, z).
+
+    `noise` is standard normal: one number for the angle, two for the place.
+    """
+    angle = torch.pi * torch.special.erf(noise[:, 0] / 2**0.5)
+    step = F.pad(noise[:, 1:] * reach, (0, 1))[:, [0, 2, 1]]
+    return turned(joints, angle[:, None, None]) + step[:, None, None]

@@ -75,9 +75,17 @@ class PlacedTokenizer(MotionTokenizer):
 
     def place(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
         """Recover and normalise the joints of de-normalised rows, zero past the lengths."""
+        return self.normalize(self.joints(motion), motion.mask)
+
+    def joints(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
+        """Recover the joints of de-normalised rows, in the skeleton's unit."""
+        # NumPy's own numbers are double; the networks behind are not.
         rows = motion.features.float() if motion.features.dtype == torch.float64 else motion.features
-        values = (recover_joints(rows, self.representation.skeleton) - self._fitted(self.mean)) / self.std
-        return values.masked_fill(~motion.mask[..., None, None], 0.0)
+        return recover_joints(rows, self.representation.skeleton)
+
+    def normalize(self, joints: Float[Tensor, "b t j 3"], real: Bool[Tensor, "b t"]) -> Float[Tensor, "b t j 3"]:
+        """Normalise joints, zero where frames aren't real."""
+        return ((joints - self._fitted(self.mean)) / self.std).masked_fill(~real[..., None, None], 0.0)
 
     def describe(self, values: Float[Tensor, "b t j 3"], frames: Int[Tensor, " b"]) -> MotionBatch:
         """Describe normalised joints by rows, zero past `frames`."""
