@@ -66,7 +66,7 @@ class JointAutoEncoder(PlacedTokenizer):
         self, motion: MotionBatch, *, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Losses:
         """Return SmoothL1 of the normalised joints over real frames; only training scatters."""
-        joints = self.joints(motion)
+        joints = self.recovered(motion)
         if self.scatter and self.training:
             reach = (self.mean.square() + self.std.square()).sqrt()[0, [0, 2]]
             joints = scattered(joints, standard_noise(joints[:, :1, 0], generator, shard)[:, 0], reach)

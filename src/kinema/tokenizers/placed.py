@@ -75,9 +75,9 @@ class PlacedTokenizer(MotionTokenizer):
 
     def place(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
         """Recover and normalise the joints of de-normalised rows, zero past the lengths."""
-        return self.normalize(self.joints(motion), motion.mask)
+        return self.normalize(self.recovered(motion), motion.mask)
 
-    def joints(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
+    def recovered(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
         """Recover the joints of de-normalised rows, in the skeleton's unit."""
         # NumPy's own numbers are double; the networks behind are not.
         rows = motion.features.float() if motion.features.dtype == torch.float64 else motion.features

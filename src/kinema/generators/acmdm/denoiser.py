@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.modulation import modulate
+from kinema.nn.rows import Rows
 from kinema.nn.streams import CrossBlock, Modulation
 from kinema.types import TextFeatures
 
@@ -85,13 +86,14 @@ class AcmdmDenoiser(Denoiser):
         real: Bool[Tensor, "b t"] | None = None,
     ) -> Float[Tensor, "b t d"]:
         """Predict at one time for all rows or one per row; no latent sees those that `real` says are padding."""
-        tokens = self.motion_in(x.unflatten(2, (self.patches, -1)).flatten(1, 2))
+        shown = torch.ones_like(x[..., 0], dtype=torch.bool) if real is None else real
+        rows = Rows(shown.repeat_interleave(self.patches, dim=1))
+        tokens = self.motion_in(rows.pack(x.unflatten(2, (self.patches, -1)).flatten(1, 2)))
         embedded = timestep_embedding(time.reshape(-1), FREQUENCIES).to(tokens.dtype)
         c = F.silu(self.time(embedded) + condition[:, 0])
-        positions = torch.arange(tokens.shape[1], device=x.device)
-        mask = None if real is None else real.repeat_interleave(self.patches, dim=1)[:, None, None]
+        mask = rows.real[:, None, None]
         for block in self.blocks:
-            tokens = block(tokens, c, positions, mask, base=self.base)
-        shift, scale = self.modulation(c)
+            tokens = block(tokens, rows, c, mask, base=self.base)
+        shift, scale = self.modulation(c, rows)
         out = self.motion_out(modulate(self.norm(tokens), shift, scale))
-        return out.unflatten(1, (-1, self.patches)).flatten(2)
+        return rows.pad(out).unflatten(1, (-1, self.patches)).flatten(2)
