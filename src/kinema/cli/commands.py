@@ -63,6 +63,7 @@ def generate(options: argparse.Namespace) -> None:
     model = _model(options)
     model.changed_sampling(options.set)  # before its names can stand for other arguments
     check_made(asked, model, options)
+    export.check(options.out, model.skeleton)
     if batch is not None:
         batch.write(model, _lengths(model, asked, options), options)
         return
@@ -101,6 +102,7 @@ def edit(options: argparse.Namespace) -> None:
         )
     model = _model(options)
     model.changed_sampling(options.set)
+    export.check(options.out, model.skeleton)
     recording = read_recording(options.motion, told(options))
     motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
     print(f"read {recording.path}: {recording.note}")

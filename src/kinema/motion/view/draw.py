@@ -46,6 +46,14 @@ def facing(pose: Float[np.ndarray, "j 3"], body: Body) -> float:
     return float(np.arctan2(-across[2], across[0]))
 
 
+def require_matplotlib() -> None:
+    """Raise ImportError, with the fix, where there is no matplotlib."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise ImportError("drawing needs matplotlib: pip install 'kinema[viz]'") from error
+
+
 def new_figure(width: float, height: float, dpi: int) -> Figure:
     """Make an Agg figure, whatever backend the caller's session uses."""
     return new_canvas(width, height, dpi).figure
@@ -53,11 +61,10 @@ def new_figure(width: float, height: float, dpi: int) -> Figure:
 
 def new_canvas(width: float, height: float, dpi: int) -> FigureCanvasAgg:
     """Make an Agg canvas with a figure of so many inches; its pixels can be read."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("drawing needs matplotlib: pip install 'kinema[viz]'") from error
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     return FigureCanvasAgg(Figure(figsize=(width, height), dpi=dpi, facecolor=STAGE))
 
 
