@@ -161,6 +161,8 @@ def test_a_text_gives_as_many_motions_as_are_asked_for(run, capsys):
     assert not np.array_equal(made[0].joints, made[1].joints)
     fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "count=0: must be a whole number from 1")
     fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "--count 2 with --chain")
+    fails(capsys, [*make, "--batch-size", "32", "--chain", "--out", "m.npz"], "--batch-size 32 with --chain")
+    fails(capsys, [*make, "--batch-size", "0", "--out", "m.npz"], "batch_size=0: must be a whole number from 1")
 
 
 def test_a_table_of_prompts_says_length_count_and_seed(run, capsys):

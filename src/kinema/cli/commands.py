@@ -31,7 +31,7 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.arguments import frame_counts
+from kinema.pipeline.arguments import BATCH, frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import is_template
@@ -51,6 +51,9 @@ def generate(options: argparse.Namespace) -> None:
     """Generate the motions of each text, or one long motion of all."""
     if options.chain and options.count > 1:
         raise ValueError(f"--count {options.count} with --chain, which makes one motion of all texts")
+    if options.chain and options.batch_size is not None:
+        raise ValueError(f"--batch-size {options.batch_size} with --chain, which makes all parts at once: leave it out")
+    options.batch_size = BATCH if options.batch_size is None else options.batch_size
     prompts = _prompts(options)
     if options.chain and any(prompt.count or prompt.seed is not None for prompt in prompts):
         raise ValueError("--chain makes one motion of all prompts, of one --seed: leave out their seed and count")

@@ -105,7 +105,7 @@ def command_line() -> argparse.ArgumentParser:
     make.add_argument(
         "--count", type=int, default=1, metavar="N", help="motions of each text, each with a seed of its own"
     )
-    make.add_argument("--batch-size", type=int, default=32, metavar="N", help=BATCH_HELP)
+    make.add_argument("--batch-size", type=int, metavar="N", help=BATCH_HELP)
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     make.add_argument("--path", metavar="FILE", help=PATH_HELP)
     change = add("edit", "regenerate a part of a motion to a text")
