@@ -42,10 +42,16 @@ def test_the_command_says_how_far_from_the_way_it_is(run, tmp_path, capsys, monk
     (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n1,0,2\n2,2,2\n")
     make = ["generate", "a person walks", "--run", str(run), "--seed", "3", "--path", "way.csv"]
     assert cli.main([*make, "--out", "walk.npz"]) == 0
-    assert "path      4.0 m: the root is " in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert told.startswith("read way.csv: x, z of each row, at their times; 4.0 m at 2 m/s\n")
+    assert "path      4.0 m: the root is " in told
     assert len(load_npz("walk.npz").features) == 41
     assert cli.main([*make, "--chain", "--out", "walk.npz"]) == 2
     assert "leave --chain and lengths of prompts out" in capsys.readouterr().err
     (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n100,0,2\n")
     assert cli.main([*make, "--out", "walk.npz"]) == 2
     assert "give --seconds to go it faster" in capsys.readouterr().err
+    (tmp_path / "way.csv").write_text("time,x,z\n0,0,0\n1,0,40\n")
+    assert cli.main([*make, "--out", "walk.npz"]) == 2
+    assert "40.0 m at 40 m/s, and nobody runs faster than 12.5: give --seconds" in capsys.readouterr().err
+    assert cli.main([*make, "--seconds", "8", "--out", "walk.npz"]) == 0

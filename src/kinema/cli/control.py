@@ -19,6 +19,8 @@ from kinema.types import Motion
 
 LONGEST = 20000
 """Frames that a chained motion may have."""
+FASTEST = 12.5
+"""Metres per second that a person runs at most: a way that is faster has other units or columns."""
 
 
 def hold_frames(model: TextToMotion, motion: Motion, options: argparse.Namespace) -> Motion:
@@ -50,6 +52,13 @@ def follow_path(model: TextToMotion, asked: list[Take], options: argparse.Namesp
         raise ValueError(
             f"{options.path} takes {way.seconds:.1f} s, the longest motion is {model.max_frames / fps:.1f} s; give "
             "--seconds to go it faster, or a shorter path"
+        )
+    pace = way.length * fps / max(way.frames(fps) - 1 if count is None else count - 1, 1)
+    print(f"read {options.path}: {way.note}; {way.length:.1f} m at {pace:.2g} m/s")
+    if pace > FASTEST:
+        raise ValueError(
+            f"{options.path} goes {way.length:.1f} m at {pace:.0f} m/s, and nobody runs faster than {FASTEST:g}: give "
+            "--seconds to go it slower, or write it in metres"
         )
     texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
     made = follow(model, texts, way, count, seed=seeds, batch_size=options.batch_size, **options.set)

@@ -60,8 +60,8 @@ HOLD_HELP = (
     "(often 4 frames) is held, and the root is led from one to the next"
 )
 PATH_HELP = (
-    "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds), .npy or "
-    ".npz; rows without times are one a frame"
+    "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds); .npy of "
+    "x, z or x, y, z; .npz of such a path and perhaps headings and times; rows without times are one a frame"
 )
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
