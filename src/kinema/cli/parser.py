@@ -63,6 +63,10 @@ PATH_HELP = (
     "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds); .npy of "
     "x, z or x, y, z; .npz of such a path and perhaps headings and times; rows without times are one a frame"
 )
+ALONG_HELP = (
+    "way over the floor that the motion, as it is, is taken along, before anything becomes new (a file as generate "
+    "--path takes); alone, nothing is generated"
+)
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
 PROMPTS_HELP = (
@@ -111,7 +115,8 @@ def command_line() -> argparse.ArgumentParser:
     make.add_argument("--path", metavar="FILE", help=PATH_HELP)
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument("--motion", required=True, help=READ_HELP)
-    change.add_argument("--text", required=True, help="what the person does")
+    change.add_argument("--text", help="what the person does in what becomes new")
+    change.add_argument("--path", metavar="FILE", help=ALONG_HELP)
     which = change.add_mutually_exclusive_group()
     which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
     which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
