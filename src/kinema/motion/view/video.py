@@ -19,6 +19,7 @@ from kinema.motion.view.draw import (
     ACCENT,
     INK,
     MUTED,
+    REACH,
     STAGE,
     Camera,
     draw_grid,
@@ -113,7 +114,8 @@ def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
     angle = facing(joints[0], body) + _TURN
     cell, low, high = 0.62 * body.stature, -0.2 * body.stature, 1.32 * body.stature
     drawn = [_centred(joints[f], body, angle) for f in frames]
-    reach = [(p.min() - 0.03 * body.stature, p.max() + 0.03 * body.stature) for p, _, _ in drawn]
+    most, skin = REACH * body.stature, 0.03 * body.stature
+    reach = [tuple(np.clip((p.min() - skin, p.max() + skin), -most, most)) for p, _, _ in drawn]
     places = _places(reach, cell)
     left, right = places[0] + min(reach[0][0], -cell / 2), places[-1] + max(reach[-1][1], cell / 2)
     travelled = np.linalg.norm(joints[frames, 0][:, [0, 2]] - joints[0, 0, [0, 2]], axis=1)
