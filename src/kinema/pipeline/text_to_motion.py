@@ -18,7 +18,7 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
-from kinema.pipeline.arguments import batches, batches_by_length, check_sources, frame_counts, paired
+from kinema.pipeline.arguments import BATCH, batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
 from kinema.pipeline.chaining import TRANSITION, chained
 from kinema.pipeline.editing import (
@@ -116,7 +116,7 @@ class TextToMotion(Portable):
         *,
         seconds: float | Sequence[float | None] | None = None,
         seed: int | list[int] | None = None,
-        batch_size: int = 32,
+        batch_size: int = BATCH,
         **sampling: Any,
     ) -> list[Motion]:
         """Generate one motion per text, `frames` or `seconds` long (one value, or one per text).
@@ -191,7 +191,7 @@ class TextToMotion(Portable):
         *,
         parts: str | None = None,
         seed: int | list[int] | None = None,
-        batch_size: int = 32,
+        batch_size: int = BATCH,
         paste: bool = True,
         blend: float = BLEND,
         **sampling: Any,
