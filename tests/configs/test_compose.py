@@ -151,7 +151,7 @@ SIZES = {
     "msflow": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 66) * (2 * 512 + 1)),
     "latent_flow": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 9_465_984),
     "mardm_words": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648 + WORDS),
-    "acmdm": ({"humanml3d": 17_076_743, "kit_ml": 17_076_743}, 39_055_960),
+    "acmdm": ({"humanml3d": 16_289_799, "kit_ml": 16_289_799}, 39_055_960),
     "acmdm_raw": ({"humanml3d": 0, "kit_ml": 0}, 39_055_960 - (88 - 66) * (2 * 512 + 1)),
     # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
     "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
@@ -435,7 +435,7 @@ REMODIFFUSE = {
 ACMDM = {
     "representation.kind": "essential",
     **under("tokenizer.model", width=512, channels=4, depth=3, dilation_growth=3, down_levels=2, dropout=0.2),
-    **under("tokenizer.model", statistics="shared_axis"),
+    **under("tokenizer.model", statistics="shared_axis", scatter=True),
     **under("tokenizer.train", batch_size=256, lr=2e-4, epochs=50, window=64, steps=None, ema=None),
     **under("generator.model", width=512, layers=8, heads=8, patch=(22, 21), condition_drop=0.1, unit=4, channels=4),
     **under("generator.train", batch_size=64, lr=2e-4, betas=[0.9, 0.99], weight_decay=1e-5, warmup=2000, epochs=500),
