@@ -165,7 +165,7 @@ class Shortcut(LatentModel):
         self.generator.load_state_dict(generator.state_dict())
         self._teacher = (generator.eval().requires_grad_(False),)
 
-    def predictor(self, text: TextFeatures, level: Int[Tensor, " n"], real: Bool[Tensor, "b n"] | None) -> Predict:
+    def predictor(self, text: TextFeatures, level: Int[Tensor, " m"], real: Bool[Tensor, "b n"] | None) -> Predict:
         """Close over the texts, which are read once, and one level for all rows or one per row."""
         condition, seen = self.denoiser.read(text)
         return lambda x, time: self.denoiser(x, time, condition, seen, real, self.level(level))
