@@ -12,6 +12,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.experiments.config import CONF, compose, plain, validate
+from kinema.experiments.sampling import build_sampling
 from kinema.experiments.stages import get_stage, stages
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.experiments.tables import load_table
@@ -19,7 +20,7 @@ from kinema.pipeline.compatibility import check_pair
 from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS
 
-MODELS = ("tokenizer", "generator", "residual", "length")
+MODELS = ("tokenizer", "generator", "residual", "shortcut", "length")
 ELSEWHERE = ("table", "page", "study", "hydra", "method", "scale", "budget", "recipe")
 """No groups, or composed by a test of their own."""
 GROUPS = {
@@ -100,11 +101,12 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
     models = {name: stage_model(name, cfg=cfg) for name in fitted}
     assert all(size(model) > 0 or get_stage(name).config(cfg).train is None for name, model in models.items())
     assert cfg.generator.get("predicts_length", False) == models["generator"].predicts_length
-    for name in {"generator", "residual"} & models.keys():
-        check_pair(models["tokenizer"], models[name])
-    if "residual" in models:
-        models["generator"].attach("residual", models["residual"])
     assert type(build(plain(cfg.generator.sampling))) is type(models["generator"].sampling)
+    for name in {"generator", *models["generator"].parts} & models.keys():
+        check_pair(models["tokenizer"], models[name])
+    for name in models.keys() & models["generator"].parts:
+        models["generator"].attach(name, models[name])
+    assert type(build_sampling(cfg)) is type(models["generator"].sampling)
     printed = deepcopy(cfg)
     OmegaConf.resolve(printed)  # as `--cfg job --resolve` does, in place
     assert "${" not in OmegaConf.to_yaml(printed)

@@ -22,7 +22,7 @@ SCALES = ("paper", "tiny", "smoke")
 LADDER = ["mar_s", "mar_m_384", "mar_m", "mar_l_384", "mar_l", "mar"]
 PARTS = [
     (group, option)
-    for group in ("tokenizer", "generator", "residual")
+    for group in ("tokenizer", "generator", "residual", "shortcut")
     for option in sorted(file.stem for file in (CONF / group).glob("*.yaml"))
     if option
     not in (
@@ -33,7 +33,7 @@ PARTS = [
         "fsq",
     )  # nothing to build, nothing to shrink; FSQ needs memory to be built
 ]
-METHOD_OF = {"rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
+METHOD_OF = {"msflow": "msflow_67_few", "rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
 METHOD_OF |= {"joint_ae": "acmdm", "acmdm": "acmdm", "acmdm_xl": "acmdm", "acmdm_raw": "acmdm_raw"}
 METHOD_OF |= {"vae": "mld"} | {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse", "mld")}
 

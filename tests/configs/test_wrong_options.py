@@ -109,7 +109,7 @@ def try_all(spec: dict[str, Any]) -> None:
 @pytest.mark.parametrize("method", options_of("method"))
 def test_no_argument_of_a_method_takes_what_is_wrong(method):
     cfg = composed(f"method={method}")
-    for node in ("generator", "residual", "length"):
+    for node in ("generator", "residual", "shortcut", "length"):
         for spec in specs(plain(cfg[node])):
             try_all(spec)
 

@@ -12,6 +12,7 @@ import torch
 from kinema.experiments.config import CONF
 from kinema.experiments.database import build_database
 from kinema.experiments.stages import get_stage
+from kinema.experiments.stages.fitted import FittedStage
 from kinema.generators import Generator
 from kinema.generators.remodiffuse import ReMoDiffuse
 from kinema.pipeline import TextToMotion
@@ -33,7 +34,7 @@ class Few:
 
 @pytest.fixture(scope="session")
 def make(workshop):
-    """Give a method's parts: tokenizer, generator with its database if it has one, residual transformer or None."""
+    """Give a method's parts: tokenizer, generator with its database if it has one, and what is trained to stand by."""
 
     @cache
     def made(method: str):
@@ -41,18 +42,22 @@ def make(workshop):
             pytest.importorskip("transformers", reason="needs the extra kinema[text]")
         choice = f"method={method}"
         tokenizer = workshop.tokenizer(choice)
-        stages = ["generator"] + (["residual"] if get_stage("residual").present(workshop.cfg(choice)) else [])
-        models = [workshop.make(stage, choice) for stage in stages]
+        generator = workshop.make("generator", choice)
+        names = [name for name in generator.parts if isinstance(get_stage(name), FittedStage)]
+        names = [name for name in names if get_stage(name).present(workshop.cfg(choice))]
+        beside = {name: workshop.make(name, choice) for name in names}
         with torch.no_grad():
             latents = tokenizer.encode(workshop.clips())
-        for model in models:
+        for model in (generator, *beside.values()):
             if model.lacks_empty_text:
                 model.take_empty_text(workshop.text.empty())
             model.prepare(tokenizer, Few(latents))
-        if "retrieval" in models[0].parts:
+        if "shortcut" in beside:
+            beside["shortcut"].learn_from(deepcopy(generator))
+        if "retrieval" in generator.parts:
             database = build_database(workshop.store, workshop.text, tokenizer, max_frames=196)
-            models[0].attach("retrieval", database)
-        return tokenizer, models[0], models[1] if len(models) > 1 else None
+            generator.attach("retrieval", database)
+        return tokenizer, generator, beside
 
     return made
 
@@ -62,8 +67,8 @@ def pipeline(make, workshop):
     """Give a method as a user holds it (untrained)."""
 
     def made(method: str) -> TextToMotion:
-        tokenizer, generator, residual = make(method)
-        beside = {} if residual is None else {"residual": residual.eval()}
+        tokenizer, generator, trained = make(method)
+        beside = {name: part.eval() for name, part in trained.items()}
         if isinstance(generator, ReMoDiffuse):
             beside["retrieval"] = generator.database
         return TextToMotion(tokenizer, generator.eval(), workshop.text, beside, {"text": {"encoder": "hashed"}})
@@ -75,14 +80,14 @@ def in_time(model: TextToMotion) -> bool:
     return model.generator.space.unit is not None
 
 
-@pytest.mark.parametrize("stage", ["generator", "residual"])
+@pytest.mark.parametrize("stage", ["generator", "residual", "shortcut"])
 @pytest.mark.parametrize("method", METHODS)
 def test_one_step_has_a_finite_loss_and_a_gradient_in_every_parameter(make, workshop, method, stage):
-    tokenizer, generator, residual = make(method)
-    model = generator if stage == "generator" else residual
+    tokenizer, generator, beside = make(method)
+    model = {"generator": generator, **beside}.get(stage)
     if model is None:
-        pytest.skip(f"{method} has no residual transformer")
-    assert stage == "residual" or isinstance(model, Generator)
+        pytest.skip(f"{method} has no {stage}")
+    assert stage != "generator" or isinstance(model, Generator)
     batch = workshop.clips(8)
     latents, text = tokenizer.encode(batch), workshop.text(batch.texts)
     text.clip_ids = batch.clip_ids

@@ -13,9 +13,9 @@ from kinema.experiments.identity import fingerprint, run_identity, stage_identit
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import get_stage, stages
 
-METHOD_OF = {"residual": "momask", "retrieval": "remodiffuse"}
+METHOD_OF = {"residual": "momask", "retrieval": "remodiffuse", "shortcut": "msflow_67_few"}
 """A method that has the stage, where the default has not."""
-UNTRAINED = ("retrieval",)
+UNTRAINED = ("retrieval", "shortcut")
 """Stages of a method whose tokenizer has nothing to train."""
 
 
@@ -194,6 +194,8 @@ def folder(stage: str, *overrides: str) -> Path:
         ("generator", ["scale=tiny", "seed=3", "data=synthetic_kit"], "mardm_sit-xl-essential-synthetic_kit-tiny-s3-"),
         ("tokenizer", ["debug=steps"], "ae-essential-synthetic-smoke-debug-s0-"),
         ("residual", ["method=momask"], "momask_residual-published-synthetic-smoke-s0-"),
+        ("generator", ["method=msflow_67_few"], "msflow_67-essential-synthetic-smoke-s0-"),
+        ("shortcut", ["method=msflow_67_few"], "msflow_67_few-essential-synthetic-smoke-s0-"),
         ("matching", ["evaluator=redundant"], "evaluator_redundant-redundant-synthetic-smoke-s0-"),
         ("length", [], "length-synthetic-smoke-s0-"),
     ],

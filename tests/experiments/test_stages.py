@@ -24,7 +24,7 @@ SOURCE = Path(__file__).resolve().parents[2] / "src"
 ALLOWED = {
     "kinema.experiments.stages": set(stages()),
     "kinema.runs.parts": set(stages()),
-    "kinema.generators": {"residual", "retrieval", "generator"},
+    "kinema.generators": {"residual", "retrieval", "generator", "shortcut"},
     "kinema.evaluation.metrics.retrieval": {"matching"},
     "kinema.experiments.evaluation": {"matching"},
     "kinema.experiments.breakdowns": {"matching"},
@@ -68,7 +68,7 @@ def test_an_unknown_stage_is_named_with_those_there_are():
 def test_a_stage_that_the_method_lacks_is_no_part_of_it(overrides):
     cfg = compose([*overrides, "method=mardm_sit", "tokenizer.model=null", "generator.model.latent_dim=8"])
     absent = {name for name, stage in stages().items() if not stage.present(cfg)}
-    assert absent == {"tokenizer", "residual", "retrieval"}
+    assert absent == {"tokenizer", "residual", "retrieval", "shortcut"}
     assert stage_identity(cfg, get_stage("generator"), lambda _: "corpus")["upstream"] == {}
     for name in absent:
         with pytest.raises(ValueError, match=f"method mardm_sit has no stage {name}"):

@@ -117,14 +117,16 @@ class Flow(nn.Module):
         known: tuple[Float[Tensor, "n *d"], Bool[Tensor, "n *d"]] | None = None,
         holding: str = "path",
         renewal: float | None = None,
+        times: Sequence[float] | None = None,
     ) -> Float[Tensor, "n *d"]:
         """Sample from noise to data: standard `noise` yields the start, then ("sde") one draw per step but the last.
 
         `temperature` scales the SDE's noise; `clip` holds the result inside (min, max). Where the mask of `known`
         (values, mask) is True, the velocity is that which leads to its values; with `holding` "projection" steps are
-        Euler's, and `projected` at every one by the share `renewal` (one draw of noise each).
+        Euler's, and `projected` at every one by the share `renewal` (one draw of noise each). `times` replace the grid.
         """
-        solver, times = self.resolve(solver, steps, grid)
+        solver, laid = self.resolve(solver, steps, grid)
+        times = laid if times is None else times
         if solver != "sde" and temperature != 1:
             raise ValueError(f"temperature {temperature} has no effect on the ODE solver {solver!r}; use 1.0 or 'sde'")
         velocity = self.velocity(predict)

@@ -27,4 +27,17 @@ def emergence(steps: int, source_scale: float) -> list[float]:
     return [0.0, *(ratio / (1 + ratio) for ratio in ratios), 1.0]
 
 
+def nested(times: Sequence[float], steps: int) -> list[float]:
+    """Leave every second time of a grid out until `steps` steps are left, each of which is two of twice as many.
+
+    Equal steps stay equal, and so do equal ratios: `emergence` keeps its middle, t = s / (1 + s). A grid laid for fewer
+    steps would share no times with the finer one. Raises ValueError where halving doesn't lead to that number.
+    """
+    finest = len(times) - 1
+    if steps < 1 or finest % steps or (finest // steps).bit_count() != 1:
+        halves = ", ".join(str(finest >> k) for k in range((finest & -finest).bit_length()))
+        raise ValueError(f"{steps} steps are not of a grid of {finest}; halving it leaves {halves}")
+    return list(times[:: finest // steps])
+
+
 GRIDS: dict[str, Callable[[int, float], Sequence[float]]] = {"uniform": uniform, "emergence": emergence}

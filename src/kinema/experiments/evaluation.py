@@ -19,13 +19,13 @@ from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.replications import REPLICATIONS, whole_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
-from kinema.experiments.stages import companions_of, get_stage, judges, stages
+from kinema.experiments.sampling import build_sampling, sampling_spec
+from kinema.experiments.stages import companions_of, completions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.experiments.stages.judge import JudgeStage
 from kinema.locks import attempt
 from kinema.registry import find_class
 from kinema.report.intervals import means
-from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line
@@ -93,7 +93,7 @@ def describe(cfg: DictConfig) -> Row:
         return stage.given(cfg) or stage_folder(cfg, stage, corpus_of).path
 
     scored = [stage for stage in stages().values() if stage.scored(cfg)]
-    companions = [other for stage in scored for other in companions_of(stage)]
+    companions = [other for stage in scored for other in (*companions_of(stage), *completions_of(stage))]
     row = Row(
         RunFolder(Path()),
         judges={stage.name: found(stage) for stage in judges().values()},
@@ -132,7 +132,7 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         "corpus": corpus,
         "protocol": {k: v for k, v in plain(cfg.scale.protocol).items() if k != "replications"},
         "runs": {name: fingerprint(run_identity(path)) for name, path in row.runs.items()},
-        "sampling": plain(cfg.generator.sampling) if cfg.source == "generation" else None,
+        "sampling": sampling_spec(cfg) if cfg.source == "generation" else None,
         "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
     }
     if cfg.source == "generation" and cfg.task == "editing":
@@ -189,7 +189,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
     _check_judges(cfg, row)
     if cfg.source == "generation":
-        build(plain(cfg.generator.sampling), at="generator.sampling")
+        build_sampling(cfg)
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)

@@ -23,10 +23,10 @@ from kinema.evaluation.training_set import TrainingSet
 from kinema.experiments.config import plain
 from kinema.experiments.evaluation import Row
 from kinema.experiments.instantiate import cached, encode_captions, read_model, text_encoder
+from kinema.experiments.sampling import build_sampling, sampling_spec
 from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
-from kinema.runs.build import build
 from kinema.text.cache import CachedTextEncoder
 from kinema.training.machine import Machine
 from kinema.types import MotionBatch
@@ -64,7 +64,7 @@ class Scorer:
         self.data = self._clips(self.source.dims, *judged)
         self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
         self.nearness = Nearness.of(self.store)
-        sampling = plain(cfg.generator.sampling) if cfg.source == "generation" else None
+        sampling = sampling_spec(cfg) if cfg.source == "generation" else None
         self.provenance = {
             "source": cfg.source,
             "runs": {k: v.name for k, v in sorted(row.runs.items())},
@@ -154,7 +154,7 @@ class Scorer:
             # The parts that the row is named by, whatever the generator's run links to.
             (run,) = row.subject.values()
             model = TextToMotion.from_run(run, device=self.device, **row.beside)
-            sampling = build(plain(cfg.generator.sampling), at="generator.sampling")
+            sampling = build_sampling(cfg)
             model.generator.check_sampling(sampling)
             # The run's own text encoder, which need not be the configuration's (an imported run).
             model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)

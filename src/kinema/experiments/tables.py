@@ -14,6 +14,7 @@ from kinema.experiments.config import CONF, compose, plain
 from kinema.experiments.corpus import corpus_label
 from kinema.experiments.evaluation import Row, describe
 from kinema.experiments.replications import over_seeds
+from kinema.experiments.stages import stages
 
 WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
 """Config groups that a table takes from its caller; the rest is the table's own."""
@@ -50,7 +51,8 @@ class TableRow:
         """Those of its overrides that training knows: all that is not about scoring or sampling."""
         method = [f"method={self.spec['method']}"] if "method" in self.spec else []
         scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
-        own = [o for o in self.spec.get("overrides", []) if not o.startswith("generator.sampling.")]
+        sampling = tuple(f"{stage.node}.sampling." for stage in stages().values())
+        own = [o for o in self.spec.get("overrides", []) if not o.startswith(sampling)]
         own = [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
         return [*method, *own, *self._seed]
 

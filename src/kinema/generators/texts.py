@@ -28,6 +28,18 @@ def without_words(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) ->
     return replace(text, token_mask=text.token_mask & ~hidden)
 
 
+def some(text: TextFeatures, rows: Bool[Tensor, " b"]) -> TextFeatures:
+    """Take the samples where `rows` is True."""
+    own = rows.tolist()
+    return TextFeatures(
+        texts=[one for one, taken in zip(text.texts, own, strict=True) if taken],
+        pooled=text.pooled[rows],
+        tokens=None if text.tokens is None else text.tokens[rows],
+        token_mask=None if text.token_mask is None else text.token_mask[rows],
+        clip_ids=[one for one, taken in zip(text.clip_ids, own, strict=False) if taken],
+    )
+
+
 def beside(text: TextFeatures, other: TextFeatures) -> TextFeatures:
     """Lay two batches of the same texts behind each other, with words and without."""
 

@@ -24,6 +24,7 @@ from kinema.runs.parts import (
     TEXT,
     TOKENIZER,
     UPSTREAM,
+    check_part,
     link,
     load_part,
     read_text_encoder,
@@ -42,8 +43,13 @@ Parts = tuple[MotionTokenizer, Generator, FrozenTextEncoder, dict[str, nn.Module
 def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Path | None]) -> Parts:
     """Load a generator's run with the parts that it links to; `given` replaces links, None leaves a part out.
 
+    The run of a part that was trained on a generator (a shortcut) stands for that generator with this part beside it.
     Raises FileNotFoundError or ValueError that name the part that is missing or unfit.
     """
+    trained = upstream(folder).get(GENERATOR)
+    if trained is not None and (own := weights.read_meta(RunFolder(folder).weights)["part"]) != GENERATOR:
+        check_part(trained, GENERATOR)
+        return read_parts(trained, device, {own: folder, **given})
     generator, meta = load_part(folder, device, GENERATOR)
     links, text = upstream(folder), read_text_encoder(folder)
     for file, key, names in ((UPSTREAM, TOKENIZER, links), (TEXT, "encoder", text)):

@@ -66,7 +66,7 @@ class Portable:
     @classmethod
     def from_run(cls, path: str | Path, device: torch.device | str | None = None, **parts: str | Path | None) -> Self:
         """Load a generator's run folder (or one that `save` wrote) with what it was trained on.
-
+        The run of a shortcut is its generator's with the shortcut beside it.
         `path` may be `latest:mardm_sit`, the last run of that name that finished (`kinema.runs.latest.find_run`).
         `parts` are run folders of what stands beside it (`length=`, `residual=`); without them those that
         `upstream.json` names are taken (`residual=None`: none). Raises FileNotFoundError or ValueError that name the

@@ -20,11 +20,11 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.pages.sections import Rows, Section, write_page
 from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.request import Request
+from kinema.experiments.sampling import build_sampling
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.pipeline import TextToMotion
-from kinema.runs.build import build
 from kinema.runs.console import console
 from kinema.runs.versions import versions
 from kinema.types import Caption, MotionBatch
@@ -62,7 +62,7 @@ def count(cfg: DictConfig, page: dict[str, Any]) -> Iterator[dict[str, Any]]:
         yield row | _hours(each * train["batch_size"] / page["motions"], steps, page)
     protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
     asked = protocol.replications * (page["tested"] + protocol.mm_texts * (protocol.mm_repeats - 1))
-    each = operations(model, TEXT, page["frames"], sampling=build(plain(cfg.generator.sampling)), seed=cfg.seed)
+    each = operations(model, TEXT, page["frames"], sampling=build_sampling(cfg), seed=cfg.seed)
     yield {"part": "evaluation", "parameters": None, "batch": None} | _hours(each, asked, page)
 
 

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from kinema.data.store import PackedStore
 from kinema.evaluation.cost import operations, parameters
-from kinema.experiments.config import plain
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.pages.points import score, some_config
 from kinema.experiments.pages.sections import Rows, Section, write_page
 from kinema.experiments.pages.subjects import read_motions
 from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.request import Request
+from kinema.experiments.sampling import build_sampling
 from kinema.experiments.tables import TableRow, load_table
 from kinema.report.intervals import measure
-from kinema.runs.build import build
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +45,7 @@ def results(row: TableRow, frames: int, published: dict[str, Any]) -> dict[str, 
     store = PackedStore.open(open_corpus(cfg))
     model = untrained(cfg, store, read_motions(store, cfg.scale.protocol.split, 1))
     longest = min(frames, model.max_frames)
-    count = operations(model, "a person walks", longest, sampling=build(plain(cfg.generator.sampling)), seed=cfg.seed)
+    count = operations(model, "a person walks", longest, sampling=build_sampling(cfg), seed=cfg.seed)
     found = {"model": row.spec["label"], "parameters": parameters(model.generator), "GFLOPs": count / 1e9}
     for name, label in METRICS.items():
         value = measure([line["metrics"][name] for line in row.lines])

@@ -20,7 +20,7 @@ from kinema.experiments.pages.sections import Rows, Section, write_page
 from kinema.experiments.pages.subjects import read_motions
 from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.request import Request
-from kinema.runs.build import build
+from kinema.experiments.sampling import build_sampling
 from kinema.runs.console import console
 from kinema.runs.versions import versions
 from kinema.training.machine import Machine
@@ -60,7 +60,7 @@ def time_method(
     spec: dict[str, Any], cfg: DictConfig, store: PackedStore, asked: MotionBatch, page: dict[str, Any]
 ) -> Rows:
     """Return a row for each batch size."""
-    model, sampling = untrained(cfg, store, asked), build(plain(cfg.generator.sampling))
+    model, sampling = untrained(cfg, store, asked), build_sampling(cfg)
     lengths = asked.lengths.clamp(max=model.max_frames).tolist()
     found = []
     for size in page["batches"]:

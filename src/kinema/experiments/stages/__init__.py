@@ -38,6 +38,11 @@ def companions_of(stage: Stage) -> list[Stage]:
     return [other for other in stages().values() if stage.name in other.companion_of]
 
 
+def completions_of(stage: Stage) -> list[Stage]:
+    """Return the stages that read a stage's run and stand beside it then."""
+    return [other for other in stages().values() if stage.name in other.completes]
+
+
 @cache
 def _find(folders: tuple[str, ...]) -> list[tuple[str, Stage]]:
     found: dict[str, Stage] = {}

@@ -32,7 +32,8 @@ class Stage:
 
     `name` is the folder of its runs and what other runs' upstream.json call it; `node` its place in the configuration;
     `needs` the stages whose runs change its own, `reads` the further keys of the configuration that do; `needed_by`
-    are stages that need this one without naming it, `companion_of` those whose users want its run beside theirs.
+    are stages that need this one without naming it, `companion_of` those whose users want its run beside theirs,
+    `completes` those of its `needs` whose run it stands beside once both are made, with a `sampling` of its own.
     `on_all_ranks`: several processes make it together, and it is for the first to write.
     """
 
@@ -41,6 +42,7 @@ class Stage:
     needs: ClassVar[tuple[str, ...]] = ()
     needed_by: ClassVar[tuple[str, ...]] = ()
     companion_of: ClassVar[tuple[str, ...]] = ()
+    completes: ClassVar[tuple[str, ...]] = ()
     reads: ClassVar[tuple[str, ...]] = ()
     on_all_ranks: ClassVar[bool] = False
 
@@ -82,7 +84,7 @@ class Stage:
         return False
 
     def beside(self, cfg: DictConfig) -> bool:
-        """Say whether an evaluation reads this run beside that of which it is a companion."""
+        """Say whether an evaluation reads this run beside that of which it is a companion, or which it completes."""
         return self.given(cfg) is not None if cfg.get("run") else self.present(cfg)
 
     def watched_by(self, cfg: DictConfig) -> list[Stage]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import cast
+from typing import Any, cast
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -115,7 +115,7 @@ class SequenceDiffusion(Generator):
         *,
         seeds: Int[Tensor, " b"],
         known: Known | None = None,
-        sampling: DiffusionSampling | None = None,
+        sampling: Any | None = None,
         noise: Iterator[Float[Tensor, "b n c"]] | None = None,
     ) -> Latents:
         """Generate, or edit: regenerate the frames, or the features of them, that `known.mask` leaves free.
@@ -134,21 +134,41 @@ class SequenceDiffusion(Generator):
         drawn = real.sum(dim=1) if self.mask_frames else torch.full_like(lengths, self.space.most)
         kept = None if known is None else Kept.of(known, lengths, real, self.width)
         with inference(self):
-            values = self.process.sample(
-                self._predictor(text.to(device), shown, sampling, seeds),
+            values = self.solved(
+                text.to(device),
                 noise or sequence_noise(seeds, drawn, self.width, device),
-                solver=sampling.solver,
-                steps=sampling.solver_steps,
-                grid=sampling.solver_grid,
-                temperature=sampling.temperature,
+                shown=shown,
+                seeds=seeds,
                 known=None if kept is None else (kept.values, kept.mask),
-                holding=sampling.holding,
-                renewal=sampling.renewal,
+                sampling=sampling,
             )
         values = values if kept is None else kept.impose(values)
         values = values.masked_fill(~real[..., None], 0.0)
         counted = self.space.frames_of(lengths) if frames is None else frames.to(device)
         return Latents(lengths=lengths, frames=counted, values=values[:, :longest])
+
+    def solved(
+        self,
+        text: TextFeatures,
+        noise: Iterator[Float[Tensor, "b n c"]],
+        *,
+        shown: Bool[Tensor, "b n"] | None,
+        seeds: Int[Tensor, " b"],
+        known: tuple[Float[Tensor, "b n c"], Bool[Tensor, "b n c"]] | None,
+        sampling: DiffusionSampling,
+    ) -> Float[Tensor, "b n c"]:
+        """Take noise to motion by the diffusion process; what is `known` (values, mask) is held on the way."""
+        return self.process.sample(
+            self._predictor(text, shown, sampling, seeds),
+            noise,
+            solver=sampling.solver,
+            steps=sampling.solver_steps,
+            grid=sampling.solver_grid,
+            temperature=sampling.temperature,
+            known=known,
+            holding=sampling.holding,
+            renewal=sampling.renewal,
+        )
 
     def _predictor(
         self,

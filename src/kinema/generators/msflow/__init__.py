@@ -3,5 +3,6 @@
 from kinema.generators.frames.sampling import FrameSampling
 from kinema.generators.msflow.model import MSFlow
 from kinema.generators.msflow.physics import Physics
+from kinema.generators.msflow.shortcut import Shortcut, ShortcutSampling
 
-__all__ = ["FrameSampling", "MSFlow", "Physics"]
+__all__ = ["FrameSampling", "MSFlow", "Physics", "Shortcut", "ShortcutSampling"]

@@ -50,7 +50,7 @@ class MsflowDenoiser(Denoiser):
         shared_modulation: bool = False,
     ) -> None:
         super().__init__()
-        self.patch, self.causal, self.mask_block = patch, mask == MASKS[1], mask_block
+        self.width, self.patch, self.causal, self.mask_block = width, patch, mask == MASKS[1], mask_block
         hidden = 2 * feedforward // 3
         self.motion_in = nn.Linear(patch * frame_dim, width)
         self.motion_out = nn.Linear(width, patch * frame_dim)
@@ -100,15 +100,20 @@ class MsflowDenoiser(Denoiser):
         condition: Float[Tensor, "b l w"],
         seen: Bool[Tensor, "b l"] | None = None,
         real: Bool[Tensor, "b t"] | None = None,
+        step: Float[Tensor, "n w"] | None = None,
     ) -> Float[Tensor, "b t d"]:
-        """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding."""
+        """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding.
+
+        `step` is added to what is read of the time: how large a step the prediction is for.
+        """
         frames = x.shape[1]
         words = torch.ones_like(condition[..., 0], dtype=torch.bool) if seen is None else seen
         shown = torch.ones_like(x[..., 0], dtype=torch.bool) if real is None else real
         # A token of several frames may hold padding beside the motion's last frames.
         x = F.pad(x * shown[..., None], (0, 0, 0, -frames % self.patch))
         text = condition if self.refiner is None or self.refines_once else self.refiner(condition, words, time)
-        c = F.silu(self._embed_time(time) + self.pooled(masked_mean(text, words)))
+        moment = self._embed_time(time) if step is None else self._embed_time(time) + step
+        c = F.silu(moment + self.pooled(masked_mean(text, words)))
         c = c if self.modulation is None else self.modulation(c)
         rows, others = Rows(shown[:, :: self.patch]), Rows(words)
         motion = self.motion_in(rows.pack(x.unflatten(1, (-1, self.patch)).flatten(2)))

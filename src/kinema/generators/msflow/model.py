@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated
 
-from jaxtyping import Bool, Float
-from torch import Tensor
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
 
 from kinema.diffusion.ddpm import DDPM
 from kinema.diffusion.errors import per_sequence
 from kinema.diffusion.flow import Flow
 from kinema.generators import TrainingLatents
 from kinema.generators.frames.generator import SequenceDiffusion
-from kinema.generators.frames.sampling import FrameSampling
+from kinema.generators.frames.sampling import DiffusionSampling, FrameSampling
 from kinema.generators.frames.training import FrameDraws
 from kinema.generators.msflow.denoiser import TEXT_ATTENTION, MsflowDenoiser
 from kinema.generators.msflow.masks import MASKS
 from kinema.generators.msflow.physics import Physics
+from kinema.generators.msflow.shortcut import Shortcut, ShortcutSampling
 from kinema.generators.texts import without_text, without_words
 from kinema.options import Depth, OneOf, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import LatentSpace, TextFeatures
+
+SHORTCUT = "shortcut"
 
 
 @buildable
@@ -37,8 +40,10 @@ class MSFlow(SequenceDiffusion):
     the data; published are none.
     """
 
+    parts = (SHORTCUT,)
     denoiser: MsflowDenoiser
     place: Callable[[Tensor], Tensor] | None = None
+    _shortcut: tuple[Shortcut, ...] = ()  # a tuple: no submodule, so neither saved nor trained here
 
     @checked
     def __init__(
@@ -120,6 +125,51 @@ class MSFlow(SequenceDiffusion):
         errors = self.process.errors(predict, x1, draws.time, draws.noise)
         penalties = self.physics.penalties(self.place(clean[0]), self.place(x1), real, self.skeleton)
         return errors + (draws.time[:, None].square() * penalties)[..., None]
+
+    @property
+    def networks(self) -> dict[str, nn.Module]:
+        """The network that samples: the shortcut's, where one is attached."""
+        return {"denoiser": self._shortcut[0].denoiser} if self._shortcut else super().networks
+
+    def attach(self, part: str, module: nn.Module) -> None:
+        """Take a shortcut, and sample by it from then on; raises ValueError for that of another generator."""
+        if part != SHORTCUT:
+            super().attach(part, module)
+        if not isinstance(module, Shortcut):
+            raise ValueError(f"a {type(module).__name__} is no shortcut; give the run of a shortcut stage")
+        module.check_generator(self)
+        self._shortcut, self.sampling = (module,), module.sampling
+
+    def check_sampling(self, sampling: DiffusionSampling | ShortcutSampling) -> None:
+        """Refuse a number of steps that an attached shortcut hasn't learnt, too."""
+        if isinstance(sampling, ShortcutSampling):
+            return self.shortcut.check_sampling(sampling)
+        return super().check_sampling(sampling)
+
+    @property
+    def shortcut(self) -> Shortcut:
+        """The attached shortcut; raises ValueError without one."""
+        if not self._shortcut:
+            raise ValueError(
+                "ShortcutSampling asks for a shortcut network, and this model has none; give the run of its shortcut "
+                "stage (from_run(..., shortcut=RUN)), or attach one"
+            )
+        return self._shortcut[0]
+
+    def solved(
+        self,
+        text: TextFeatures,
+        noise: Iterator[Float[Tensor, "b n c"]],
+        *,
+        shown: Bool[Tensor, "b n"] | None,
+        seeds: Int[Tensor, " b"],
+        known: tuple[Float[Tensor, "b n c"], Bool[Tensor, "b n c"]] | None,
+        sampling: DiffusionSampling | ShortcutSampling,
+    ) -> Float[Tensor, "b n c"]:
+        """Take noise to motion by the flow, or by its shortcut where that is asked for."""
+        if isinstance(sampling, ShortcutSampling):
+            return self.shortcut.few_steps(text, noise, shown=shown, known=known, sampling=sampling)
+        return super().solved(text, noise, shown=shown, seeds=seeds, known=known, sampling=sampling)
 
     def without_text(self, text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
         """Hide the words of the samples in `drop` (None: of all) behind the null tokens, or zero their features."""
