@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.atomic import write_text
+from kinema.data.labels import require_labels
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, read_config, validate
 from kinema.experiments.corpus import open_corpus, require_captions, require_pool
@@ -106,6 +107,8 @@ def describe(cfg: DictConfig) -> Row:
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     if "perturb" in identity:
         what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
+    if "oracle" in identity:
+        what = f"oracle_{cfg.oracle.knows}"
     what += ("_feet" if cfg.lock_feet else "") + ("_lifted" if cfg.lift else "")
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
@@ -145,6 +148,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         identity["lock_feet"] = True
     if cfg.source == "perturbed":
         identity["perturb"] = plain(cfg.perturb)
+    if cfg.source == "oracle":
+        identity["oracle"] = plain(cfg.oracle)
     if any((cfg.get("evaluators") or {}).values()):
         # Imported judges have no fingerprint that would hold what they read captions with.
         identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}
@@ -193,6 +198,8 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)
+    if cfg.source == "oracle":
+        require_labels(store)
     _check_reads(cfg, row)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
