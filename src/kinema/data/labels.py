@@ -31,8 +31,8 @@ def require_labels(store: PackedStore) -> None:
     if not has_labels(store):
         raise ValueError(
             f"corpus {store.name!r} doesn't say which actions its clips show: its manifest.json has neither the field "
-            f"{LABEL!r} (ACTION or ACTION|STYLE) nor {ACTION!r} (beside {STYLE!r}), only {list(store.fields)}; add one, "
-            "or leave out what reads it (source=oracle)"
+            f"{LABEL!r} (ACTION or ACTION|STYLE) nor {ACTION!r} (beside {STYLE!r}), only {list(store.fields)}; add "
+            "one, or leave out what reads it (source=oracle)"
         )
 
 
