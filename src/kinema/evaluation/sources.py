@@ -16,6 +16,7 @@ from torch import Tensor
 from kinema.decoding.draws import SeededDraws
 from kinema.evaluation.counting import NetworkCounter
 from kinema.evaluation.metrics.code_usage import CodeUsage
+from kinema.evaluation.stopwatch import Stopwatch
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import kept_frames, paste, task_slots
 from kinema.pipeline.kept import encode_kept
@@ -48,6 +49,13 @@ class Source(ABC):
     def measured(self) -> dict[str, float]:
         """Return what the source measured of itself since the last call, by the names of metrics."""
         return {}
+
+    def seconds(self) -> float | None:
+        """Return how long a motion took to make since the last call, by the clock; None: none is made.
+
+        Apart from what is `measured`, which is the same every time.
+        """
+        return None
 
     def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"] | None:
         """Mark the frames of answers to clips of these lengths that are the clips' own; None: the source edits none."""
@@ -229,12 +237,14 @@ class Generated(Source):
         self.text_encoder = model.text_encoder
         self.counter = NetworkCounter(model.generator.networks)
         self.batches = self.motions = 0
+        self.took = Stopwatch(model.device)
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Generate one motion per caption."""
         text = encode_captions(self.text_encoder, batch)
         frames = batch.lengths if self.lengths == "real" else None
-        made = self.model.sample(text, frames, seeds=seeds, sampling=self.sampling)
+        with self.took.motions(len(seeds)):
+            made = self.model.sample(text, frames, seeds=seeds, sampling=self.sampling)
         self.batches, self.motions = self.batches + 1, self.motions + len(seeds)
         return answer(batch, made.features, made.lengths)
 
@@ -243,6 +253,10 @@ class Generated(Source):
         counted = self.counter.take(self.batches, self.motions)
         self.batches = self.motions = 0
         return counted
+
+    def seconds(self) -> float | None:
+        """Return a motion's share of the time from text features to features, decoding included."""
+        return self.took.take()
 
 
 class Edited(Source):

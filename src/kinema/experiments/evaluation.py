@@ -18,7 +18,7 @@ from kinema.experiments.config import plain, read_config, validate
 from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
-from kinema.experiments.replications import REPLICATIONS, whole_lines
+from kinema.experiments.replications import EACH, REPLICATIONS, whole_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.stages import companions_of, get_stage, judges, stages
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
@@ -283,6 +283,7 @@ class _Scoring:
         started, folder = time.monotonic(), self.row.folder
         scorer = self.scorer
         result = scorer.replicate(replication)
+        each = scorer.source.seconds()
         if replication == 0:
             scorer.save_samples(folder.path / "samples.npz", result)
         line = {
@@ -291,6 +292,7 @@ class _Scoring:
             "breakdowns": result.breakdowns,
             "seconds": round(time.monotonic() - started, 2),
             "provenance": {**scorer.provenance, "versions": self.software},
+            **({} if each is None else {EACH: each}),
             **({"unread": names} if (names := unread(self.cfg)) else {}),
         }
         with folder.lock():
