@@ -152,6 +152,8 @@ SIZES = {
     "msflow_67": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "msflow": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 66) * (2 * 512 + 1)),
     "latent_flow": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 9_465_984),
+    "latent_flow_few": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 9_465_984),
+    "msflow_67_few": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "mardm_words": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648 + WORDS),
     "acmdm": ({"humanml3d": 16_289_799, "kit_ml": 16_289_799}, 39_055_960),
     "acmdm_raw": ({"humanml3d": 0, "kit_ml": 0}, 39_055_960 - (88 - 66) * (2 * 512 + 1)),
@@ -434,6 +436,12 @@ REMODIFFUSE = {
     "method.lengths": "real",
 }
 # FRONTIER §2.5, §3
+LATENT_FLOW = under("generator.model", width=256, feedforward=512, layers=4, heads=2, unit=4)
+SHORTCUT = {
+    **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=0.5, substeps=2, solver="euler"),
+    **under("shortcut.train", epochs=50, warmup=500, decay="cosine", ema=0.999),
+    "shortcut.sampling.steps": 4,
+}
 ACMDM = {
     "representation.kind": "essential",
     **under("tokenizer.model", width=512, channels=4, depth=3, dilation_growth=3, down_levels=2, dropout=0.2),
@@ -473,7 +481,9 @@ PAPERS = {
     "msflow_263": MSFLOW_RECIPE | {"generator.model.mask": "causal", "representation.kind": "redundant"},
     "msflow_67": MSFLOW_RECIPE,
     "msflow": MSFLOW_RECIPE | {"tokenizer.model.statistics": "shared_axis"},
-    "latent_flow": MSFLOW_RECIPE | under("generator.model", width=256, feedforward=512, layers=4, heads=2),
+    "msflow_67_few": MSFLOW_RECIPE | SHORTCUT,
+    "latent_flow": MSFLOW_RECIPE | LATENT_FLOW,
+    "latent_flow_few": MSFLOW_RECIPE | LATENT_FLOW | SHORTCUT,
     "mardm_words": MARDM | {"generator.model.null_tokens": 4},
     "acmdm": ACMDM,
     "acmdm_raw": {k: v for k, v in ACMDM.items() if not k.startswith("tokenizer.")}

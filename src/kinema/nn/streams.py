@@ -33,7 +33,11 @@ class Modulation(nn.Module):
 
     def forward(self, condition: Float[Tensor, "b c"], rows: Rows) -> Ways:
         """Return `count` vectors for each row; `condition` is activated, or already the shared table's."""
-        values = condition[:, : len(self.offset)] + self.offset if self.read is None else self.read(condition)
+        if self.read is not None:
+            values = self.read(condition)
+        else:
+            assert self.offset is not None  # one of the two is there
+            values = condition[:, : len(self.offset)] + self.offset
         return rows.spread(values).chunk(self.count, dim=-1)
 
     def close(self) -> None:
@@ -121,8 +125,8 @@ class JointBlock(nn.Module):
             return part.transformed(part.attended(motion, attended, frames, ways), ways), text
         other, others = self.text, self.text.modulation(condition, words)
         read = other.attention.split(modulate(other.norm1(text), others[0], others[1]), words)
-        heads = [torch.cat(both, dim=2) for both in zip(read, own, strict=True)]
-        attended = F.scaled_dot_product_attention(*heads, attn_mask=mask)
+        query, key, value = (torch.cat(both, dim=2) for both in zip(read, own, strict=True))
+        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
         motion = part.attended(motion, attended[:, :, size:], frames, ways)
         text = other.attended(text, attended[:, :, :size], words, others)
         return part.transformed(motion, ways), other.transformed(text, others)

@@ -93,7 +93,7 @@ def points(page: dict[str, Any]) -> Iterator[dict[str, Any]]:
     yield {"key": "real", "label": "Real motion", "of": "Real motion", "source": "real"}
     for spec in page["methods"]:
         for chosen in (Choice(), *_choices(spec, page["solvers"][spec["solvers"]])):
-            row = {
+            row: dict[str, Any] = {
                 "key": "-".join((spec["key"], *chosen.words)).replace(" ", "-"),
                 "label": " ".join((spec["label"], *chosen.words)),
             }

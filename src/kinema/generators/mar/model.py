@@ -113,7 +113,8 @@ class MARDM(Generator):
         if self.words is not None:
             self.words.reset_parameters()
             for block in self.blocks:
-                block.close()
+                if isinstance(block, AdaLNBlock):
+                    block.close()
 
     def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
         """Keep the training latents' range."""

@@ -81,7 +81,8 @@ class MsflowDenoiser(Denoiser):
                 nn.init.normal_(layer.weight, std=0.02)
         self.words.reset_parameters()
         for block in self.blocks:
-            block.close()
+            if isinstance(block, JointBlock | CrossBlock):
+                block.close()
         if self.refiner is not None:
             self.refiner.reset_parameters()
         for last in (self.motion_out, self.modulation):
@@ -91,7 +92,7 @@ class MsflowDenoiser(Denoiser):
     def read(self, text: TextFeatures) -> Read:
         """Read each word, behind the learnt tokens if there are any."""
         words, mask = self.words(text)
-        return (self.refiner(words, mask) if self.refines_once else words), mask
+        return (self.refiner(words, mask) if self.refiner is not None and self.refines_once else words), mask
 
     def forward(
         self,

@@ -29,6 +29,11 @@ class RefinerLayer(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, 4 * width), nn.SiLU(), nn.Linear(4 * width, width))
         self.gates = nn.Linear(width, 2 * width)
 
+    def close(self) -> None:
+        """Close both branches."""
+        nn.init.zeros_(self.gates.weight)
+        nn.init.zeros_(self.gates.bias)
+
     def forward(
         self, x: Float[Tensor, "b l w"], condition: Float[Tensor, "b w"], pairs: Bool[Tensor, "b 1 l l"]
     ) -> Float[Tensor, "b l w"]:
@@ -56,8 +61,8 @@ class Refiner(nn.Module):
         nn.init.eye_(self.inputs.weight)
         nn.init.zeros_(self.inputs.bias)
         for layer in self.layers:
-            nn.init.zeros_(layer.gates.weight)
-            nn.init.zeros_(layer.gates.bias)
+            if isinstance(layer, RefinerLayer):
+                layer.close()
 
     def forward(
         self, words: Float[Tensor, "b l w"], mask: Bool[Tensor, "b l"], time: Tensor | None = None
