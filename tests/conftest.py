@@ -42,7 +42,9 @@ CHECKED += tuple(
     )
 )
 # Not `text.hashed`, `text.cache` and `training.recipe`: tests pass them what is wrong, which they refuse by themselves.
-CHECKED += tuple(f"text.{name}" for name in ("clip", "files", "frozen", "minilm", "packed", "tokens", "vip", "words"))
+CHECKED += tuple(
+    f"text.{name}" for name in ("clip", "files", "frozen", "hidden", "minilm", "packed", "tokens", "vip", "words")
+)
 install_import_hook([f"kinema.{name}" for name in CHECKED], CHECKER)
 
 # Nothing depends on chance, on time or on what a run before found.

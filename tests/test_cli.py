@@ -161,6 +161,8 @@ def test_a_text_gives_as_many_motions_as_are_asked_for(run, capsys):
     assert not np.array_equal(made[0].joints, made[1].joints)
     fails(capsys, [*make, "--count", "0", "--out", "m.npz"], "count=0: must be a whole number from 1")
     fails(capsys, [*make, "--count", "2", "--chain", "--out", "m.npz"], "--count 2 with --chain")
+    fails(capsys, [*make, "--batch-size", "32", "--chain", "--out", "m.npz"], "--batch-size 32 with --chain")
+    fails(capsys, [*make, "--batch-size", "0", "--out", "m.npz"], "batch_size=0: must be a whole number from 1")
 
 
 def test_a_table_of_prompts_says_length_count_and_seed(run, capsys):
@@ -229,6 +231,28 @@ def test_names_that_cannot_be_are_refused_before_anything_is_made(run, capsys):
     Path("made/manifest.jsonl").write_text("{}\n")
     fails(capsys, [*make, "--out", "made/{index}.npz"], "made/manifest.jsonl, line 1 has 'file': it holds null")
     assert [path.name for path in Path("made").iterdir()] == ["manifest.jsonl"]
+
+
+def test_a_file_that_cannot_be_written_is_told_before_anything_is_made(run, capsys, monkeypatch):
+    """FBX without Blender: whichever way a motion is made, the model is not asked."""
+    Path("way.csv").write_text("x,z\n0,0\n0,1\n")
+    Path("two.txt").write_text("a person walks#40\nsomeone sits#40\n")
+    np.save("clip.npy", HUMANML3D.ancestry[None].repeat(40, 0)[..., :3].astype(np.float32))
+    monkeypatch.setenv("KINEMA_BLENDER_PYTHON", "nowhere/python")
+    for name in ("generate", "chain", "edit"):
+        monkeypatch.setattr(f"kinema.pipeline.TextToMotion.{name}", None)
+    make = ["generate", "a person walks", "--run", str(run), "--out", "walk.fbx"]
+    change = ["edit", "--motion", "clip.npy", "--text", "sits", "--run", str(run), "--out", "walk.fbx"]
+    for words in (
+        [*make, "--frames", "40"],
+        [*make, "--frames", "40", "--chain"],
+        [*make, "--path", "way.csv"],
+        [*make[:-1], "{index}.fbx", "--frames", "40", "--count", "2"],
+        [make[0], "--prompts", "two.txt", *make[2:]],
+        [*change, "--keep", "0:20"],
+        [*change, "--hold", "0,-1"],
+    ):
+        fails(capsys, words, "KINEMA_BLENDER_PYTHON=nowhere/python does not run")
 
 
 def test_joints_can_be_edited(run):

@@ -36,7 +36,7 @@ METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 CORPORA = ("humanml3d", "kit_ml")
 OFFLINE = ("evaluator.words=hashed", "evaluator.tokens=hashed")
 # Options that no method names, and one whose parts they fit.
-OTHERS = {"bad_notime": "bad_oaas", "fsq": "t2m_gpt"}
+OTHERS = {"bad_notime": "bad_oaas", "fsq": "t2m_gpt", "acmdm_xl": "acmdm"}
 FSQ = "tokenizers.fsq"  # cannot be built without memory
 LIBRARIES = {FSQ: "vector_quantize_pytorch", "generators.motiongpt": "transformers"}
 
@@ -119,6 +119,10 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
 CONV = {"humanml3d": 19_436_807, "kit_ml": 19_399_931}
 CONV_32 = {"humanml3d": 17_961_767, "kit_ml": 17_924_891}
 VAE = 18_035_207 - 2 * 6 * 256
+TEXT_END = 512 * 512 + 128 + 513 * 512 + 512 + 3 * 512 * 682 + 4 * 512 * 513
+MSFLOW = 68_772_103 - (768 - 512) * 512 - TEXT_END
+# The words, four more, and attention to them: its norms, queries, keys, values and output.
+WORDS = 513 * 1024 + 4 * 1024 + 1024 + 2 * 64 + 3 * 1024 * 1024 + 1025 * 1024
 SIZES = {
     "mardm_ddpm": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
     "mardm_sit": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
@@ -142,6 +146,15 @@ SIZES = {
     "mdm_1000": ({"humanml3d": 0, "kit_ml": 0}, 17_880_327),
     "motiondiffuse": ({"humanml3d": 0, "kit_ml": 0}, 87_152_135),
     "remodiffuse": ({"humanml3d": 0, "kit_ml": 0}, 46_966_791),
+    # Derived from FRONTIER §3: no paper's or file's count is known.
+    # 68,772,103 with DistilBERT, and with an end of the last block's text that nothing reads. FRONTIER §2.2
+    "msflow_263": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW),
+    "msflow_67": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
+    "msflow": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 66) * (2 * 512 + 1)),
+    "latent_flow": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 9_465_984),
+    "mardm_words": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648 + WORDS),
+    "acmdm": ({"humanml3d": 16_289_799, "kit_ml": 16_289_799}, 39_055_960),
+    "acmdm_raw": ({"humanml3d": 0, "kit_ml": 0}, 39_055_960 - (88 - 66) * (2 * 512 + 1)),
     # 18,035,207 with seven latents; 8,349,184 with ViT-L/14 and a table of no use. MLD §1-§2
     "mld": ({"humanml3d": VAE, "kit_ml": VAE - 12 * (2 * 256 + 1)}, 8_349_184 - 500 * 256 - (768 - 512) * 256),
 }
@@ -420,7 +433,51 @@ REMODIFFUSE = {
     "generator.reads_tokens": True,
     "method.lengths": "real",
 }
+# FRONTIER §2.5, §3
+ACMDM = {
+    "representation.kind": "essential",
+    **under("tokenizer.model", width=512, channels=4, depth=3, dilation_growth=3, down_levels=2, dropout=0.2),
+    **under("tokenizer.model", statistics="shared_axis", scatter=True),
+    **under("tokenizer.train", batch_size=256, lr=2e-4, epochs=50, window=64, steps=None, ema=None),
+    **under("generator.model", width=512, layers=8, heads=8, patch=(22, 21), condition_drop=0.1, unit=4, channels=4),
+    **under("generator.train", batch_size=64, lr=2e-4, betas=[0.9, 0.99], weight_decay=1e-5, warmup=2000, epochs=500),
+    **under("generator.train", milestones=[50_000], gamma=0.1, ema=0.9999, ema_warmup=False, clip="absent"),
+    **under("generator.sampling", guidance=3.0),
+    "generator.reads_tokens": False,
+    "method.lengths": "real",
+}
+# FRONTIER §2.2, §2.4-§2.5
+MSFLOW_RECIPE = {
+    **{k: v for k, v in MARDM.items() if k.startswith("generator.train.")},
+    **under(
+        "generator.model",
+        width=512,
+        feedforward=1024,
+        layers=8,
+        heads=4,
+        patch=1,
+        mask="bidirectional",
+        text_attention="joint",
+        refiner_layers=2,
+        refiner_timed=True,
+        null_tokens=0,
+        shared_modulation=False,
+        condition_drop=0.1,
+    ),
+    **under("generator.model.process", prediction="x1", source_scale=5.0, clamp=0.05, times="uniform"),
+    **under("generator.sampling", guidance=3.0, solver="heun", solver_steps=49, solver_grid="uniform"),
+    "generator.train.clip": None,
+    "generator.train.milestones": [50_000],
+}
 PAPERS = {
+    "msflow_263": MSFLOW_RECIPE | {"generator.model.mask": "causal", "representation.kind": "redundant"},
+    "msflow_67": MSFLOW_RECIPE,
+    "msflow": MSFLOW_RECIPE | {"tokenizer.model.statistics": "shared_axis"},
+    "latent_flow": MSFLOW_RECIPE | under("generator.model", width=256, feedforward=512, layers=4, heads=2),
+    "mardm_words": MARDM | {"generator.model.null_tokens": 4},
+    "acmdm": ACMDM,
+    "acmdm_raw": {k: v for k, v in ACMDM.items() if not k.startswith("tokenizer.")}
+    | {"generator.model.unit": 1, "generator.model.channels": 3, "tokenizer.train": None},
     "remodiffuse": REMODIFFUSE,
     "mdm": MDM,
     "mld": MLD,

@@ -14,7 +14,7 @@ SEVERAL = "vae tokenizer.model.latents=7"  # for reconstruction
 TOKENIZERS = [*sorted(file.stem for file in (CONF / "tokenizer").glob("*.yaml")), SEVERAL]
 TRAINED = [name for name in TOKENIZERS if name not in ("frames", "frame_groups", "joints")]  # these have no parameter
 DIMS = ("essential", "redundant", "published")
-PLACED = ("joints",)  # joints are described by essential rows alone
+PLACED = ("joints", "joint_ae")  # joints are described by essential rows alone
 CHOICES = [(name, dims) for name in TRAINED for dims in (DIMS[:1] if name in PLACED else DIMS)]
 
 

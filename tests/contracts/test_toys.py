@@ -296,5 +296,40 @@ def test_of_joints_in_space_held_frames_and_ways_are_known(workshop, placed):
     way = Waypoints(np.array([0.0, 2.0, 3.95]), np.array([[1.0, 1.0], [1.0, 2.0], [2.0, 2.0]]), None)
     made = follow(model, ["a person walks"], way, seed=1)
     assert made.away < 1e-3
-    with pytest.raises(ValueError, match="joining motions needs latents that can be laid one behind the other"):
-        model.chain(TEXTS, [37, 50])
+
+
+def test_of_joints_in_space_parts_are_joined_where_their_rows_lead(workshop, placed):
+    """A transition of a generator that walks on leads from the end of the first part to the second's start."""
+    tokenizer, source, values = placed
+    model = TextToMotion(tokenizer, Onward(tokenizer, values).eval(), workshop.text)
+    made = model.chain(TEXTS, [80, 80], seed=1, transition=8)
+    assert len(made.features) == 168
+    assert made.kept.tolist() == [True] * 80 + [False] * 8 + [True] * 80
+    rows = tokenizer.decode(Latents(torch.tensor([80]), torch.tensor([80]), values=values)).features[0].numpy()
+    for part in (made.features[:80], made.features[88:]):
+        np.testing.assert_array_equal(part, rows)
+    steps = np.linalg.norm(np.diff(made.joints, axis=0), axis=-1).max(-1)
+    usual = np.linalg.norm(np.diff(source.joints, axis=0), axis=-1).max()
+    assert steps[79:88].max() < 2 * usual
+    way = np.linalg.norm(np.diff(made.joints[:, 0][:, [0, 2]], axis=0), axis=-1)
+    assert way[79:88].max() < 2 * way[:79].max()
+
+
+class Onward(Toy):
+    """Make the parts that it is told to; between kept frames, go straight from one to the next."""
+
+    def __init__(self, tokenizer: MotionTokenizer, values: torch.Tensor) -> None:
+        super().__init__(tokenizer.space)
+        self.values = values
+
+    def sample(self, text, frames, *, seeds, known=None, sampling=None):
+        if known is None:
+            size = torch.full((len(seeds),), self.values.shape[1])
+            return Latents(size, size, values=self.values.expand(len(seeds), -1, -1))
+        values = known.latents.values.clone()
+        for row, mask in zip(values, known.mask, strict=True):
+            here = mask.nonzero().flatten()
+            for free in (~mask).nonzero().flatten().tolist():
+                left, right = here[here < free].max(), here[here > free].min()
+                row[free] = torch.lerp(row[left], row[right], (free - left) / (right - left))
+        return Latents(known.latents.lengths, known.latents.frames, values=values)

@@ -12,11 +12,12 @@ from omegaconf import OmegaConf
 from kinema import cli
 from kinema.atomic import write_json
 from kinema.cli.parser import command_line
+from kinema.data.labels import read_label
 from kinema.data.store import PackedStore
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.packing import figures, pack, strictest
-from kinema.experiments.repertoires import foreign_sentences, read_label
+from kinema.experiments.repertoires import foreign_sentences
 from kinema.experiments.run import run_stage, stage_folder
 from kinema.experiments.stages import get_stage
 from kinema.pipeline import TextToMotion

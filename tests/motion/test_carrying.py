@@ -73,7 +73,7 @@ def test_its_own_way_gives_the_motion_again(walk):
 
 
 def test_a_motion_that_stands_is_refused(walk):
-    with pytest.raises(ValueError, match="say in the text that the person walks"):
+    with pytest.raises(ValueError, match=r"take one that walks or runs \(say so in the text\)"):
         carry(np.repeat(walk[:1] * [0, 0, 0, *[1] * 260], 40, 0).astype(np.float32), bend(4.0, 40), None, HUMANML3D)
 
 
@@ -87,15 +87,44 @@ def test_ways_are_read_alike(tmp_path):
     (tmp_path / "a.csv").write_text(
         "time, x, z, heading\n" + "\n".join(f"{i},{x},{z},{h}" for i, (x, z, h) in enumerate(table))
     )
-    np.savez(tmp_path / "a.npz", path=table, times=np.arange(3.0))
-    np.save(tmp_path / "a.npy", table)
-    csv, npz, npy = (read_waypoints(tmp_path / f"a.{kind}", 1.0) for kind in ("csv", "npz", "npy"))
-    for one in (csv, npz, npy):
+    np.savez(tmp_path / "a.npz", path=table[:, :2], headings=table[:, 2], times=np.arange(3.0))
+    for one in (read_waypoints(tmp_path / f"a.{kind}", 1.0) for kind in ("csv", "npz")):
         assert one.frames(20) == 41
         places, headings = one.at(41)
         np.testing.assert_allclose(places[[0, 20, 40]], table[:, :2])
         np.testing.assert_allclose(headings[[0, 20, 40]], np.radians(table[:, 2]))
         assert places[:, 0].max() <= 1  # it never swings over
+        assert one.note == "x, z, heading of each row, at their times"
+
+
+def test_columns_without_names_are_places_on_the_floor_or_in_space(tmp_path):
+    x, y, z = [0, 1.0, 2.0], [0.9, 1.0, 0.2], [0, 0.5, 3.0]
+    (tmp_path / "named.csv").write_text("x,y,z\n" + "\n".join(f"{a},{b},{c}" for a, b, c in zip(x, y, z, strict=True)))
+    np.save(tmp_path / "floor.npy", np.stack([x, z], 1))
+    np.save(tmp_path / "space.npy", np.stack([x, y, z], 1).astype(np.float32))
+    np.savez(tmp_path / "space.npz", path=np.stack([x, y, z], 1))
+    for name in ("named.csv", "floor.npy", "space.npy", "space.npz"):
+        way = read_waypoints(tmp_path / name, 1.0)
+        np.testing.assert_allclose(way.places, np.stack([x, z], 1))
+        assert way.headings is None
+        assert way.note.startswith("x, z of each row, one row a frame of 1 a second")
+        assert ("heights (y, 0.20 to 1.00 m) are left out" in way.note) == (name != "floor.npy")
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ([[0, 0, 0], [0, 2.5, 90]], "the height .* goes from 0 to 2.5 m; leave heights out, or name headings"),
+        ([[0, 0, 0, 0], [0, 1, 0, 0]], r"holds \(2, 4\); two columns are x, z, three x, y, z"),
+        ([[0, 0]], "holds 1 rows; at least two"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["npy", "npz"])
+def test_columns_that_cannot_be_places_are_told(tmp_path, kind, table, message):
+    path = tmp_path / f"a.{kind}"
+    np.save(path, np.array(table, float)) if kind == "npy" else np.savez(path, path=np.array(table, float))
+    with pytest.raises(ValueError, match=message):
+        read_waypoints(path, 20.0)
 
 
 @pytest.mark.parametrize(

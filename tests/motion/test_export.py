@@ -139,6 +139,29 @@ def test_unknown_suffix_names_the_known(motion, tmp_path):
         export.save(motion, tmp_path / "m.gif")
 
 
+@pytest.mark.parametrize("suffix", export.FORMATS)
+def test_a_skeleton_that_a_format_cannot_hold_is_told_without_a_motion(suffix, wander, tmp_path, monkeypatch):
+    monkeypatch.setattr("kinema.motion.formats.fbx.subprocess.run", None)  # no Blender is started for what can't be
+    if suffix not in export.RIGGED:
+        export.check(f"m{suffix}", KIT)
+        return
+    motion = Motion(wander(KIT, 6), np.zeros((6, 1)), "a person turns", "kit", KIT.fps)
+    said = rf"^m{suffix}: there is no T-pose of kit; .* for humanml3d; write one of \.html"
+    for refuse in (lambda: export.check(f"m{suffix}", KIT), lambda: export.save(motion, tmp_path / f"m{suffix}")):
+        with pytest.raises(ValueError, match=said):
+            refuse()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "missing", "fix"),
+    [(".mp4", "imageio_ffmpeg", "imageio-ffmpeg"), (".mp4", "matplotlib", "mat"), (".png", "matplotlib", "mat")],
+)
+def test_missing_libraries_are_told_without_a_motion(suffix, missing, fix, monkeypatch):
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(ImportError, match=rf"needs {fix}.*pip install 'kinema\[viz\]'"):
+        export.check(f"m{suffix}", HUMANML3D)
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".png"])
 def test_broken_motion_leaves_no_file(motion, tmp_path, suffix):
     joints = motion.joints.copy()

@@ -12,6 +12,7 @@ import kinema
 from kinema.data.synthetic import synthetic_catalog
 from kinema.motion import export
 from kinema.motion.formats.fbx import PYTHON
+from kinema.motion.skeleton import HUMANML3D
 from kinema.types import Motion
 
 
@@ -44,6 +45,21 @@ def test_what_blender_cannot_do_is_one_error_and_keeps_the_old_file(script, mess
     assert "\n" not in str(caught.value)
     assert [path.name for path in target.parent.iterdir()] == ["walk.fbx"]
     assert target.read_text() == "older"
+
+
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [(None, "does not run"), ("exit 3", "pip install 'kinema"), ("echo Segfault >&2; exit 139", "failed .*: Segfault")],
+)
+def test_a_missing_blender_is_told_before_there_is_a_motion(script, message, tmp_path, monkeypatch):
+    python = tmp_path / "python"
+    if script is not None:
+        python.write_text(f"#!/bin/sh\n{script}\n")
+        python.chmod(0o755)
+    monkeypatch.setenv(PYTHON, str(python))
+    with pytest.raises(ValueError, match=message):
+        export.check("walk.fbx", HUMANML3D)
+    export.check("walk.glb", HUMANML3D)
 
 
 def test_blender_is_imported_by_one_script_that_nothing_runs_in_this_process():

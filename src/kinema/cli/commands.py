@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from kinema.cli.control import chained, follow_path, hold_frames, tell_seams
+from kinema.cli.control import chained, follow_path, hold_frames, take_along, tell_seams
 from kinema.cli.convention import told
 from kinema.cli.exporting import stand
 from kinema.cli.takes import Batch, check_made
@@ -31,7 +31,7 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.arguments import frame_counts
+from kinema.pipeline.arguments import BATCH, frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import is_template
@@ -51,6 +51,9 @@ def generate(options: argparse.Namespace) -> None:
     """Generate the motions of each text, or one long motion of all."""
     if options.chain and options.count > 1:
         raise ValueError(f"--count {options.count} with --chain, which makes one motion of all texts")
+    if options.chain and options.batch_size is not None:
+        raise ValueError(f"--batch-size {options.batch_size} with --chain, which makes all parts at once: leave it out")
+    options.batch_size = BATCH if options.batch_size is None else options.batch_size
     prompts = _prompts(options)
     if options.chain and any(prompt.count or prompt.seed is not None for prompt in prompts):
         raise ValueError("--chain makes one motion of all prompts, of one --seed: leave out their seed and count")
@@ -63,6 +66,7 @@ def generate(options: argparse.Namespace) -> None:
     model = _model(options)
     model.changed_sampling(options.set)  # before its names can stand for other arguments
     check_made(asked, model, options)
+    export.check(options.out, model.skeleton)
     if batch is not None:
         batch.write(model, _lengths(model, asked, options), options)
         return
@@ -95,16 +99,30 @@ def edit(options: argparse.Namespace) -> None:
     """Regenerate a part of a motion to a text."""
     files = _files(options.out, 1)
     given = options.keep if options.regenerate is None else options.regenerate
-    if given is None and options.parts is None and options.hold is None:
+    anew = any(asked is not None for asked in (given, options.parts, options.hold))
+    if not anew and options.path is None:
         raise ValueError(
-            "nothing to regenerate: give --regenerate RANGES, --keep RANGES, --hold FRAMES or --parts upper|lower"
+            "nothing to regenerate: give --regenerate RANGES, --keep RANGES, --hold FRAMES or --parts upper|lower; or "
+            "--path FILE for another way over the floor"
+        )
+    if anew is (options.text is None):
+        lacks = "--text is missing: say what the person does in what becomes new"
+        raise ValueError(
+            lacks if anew else "--text without a part that becomes new: give --regenerate, or leave it out"
         )
     model = _model(options)
     model.changed_sampling(options.set)
+    export.check(options.out, model.skeleton)
     recording = read_recording(options.motion, told(options))
     motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
     print(f"read {recording.path}: {recording.note}")
-    made = [hold_frames(model, motion, options)] if options.hold is not None else _edited(model, motion, given, options)
+    if options.path is not None:
+        motion = take_along(motion, options.path)
+    made = [motion]
+    if options.hold is not None:
+        made = [hold_frames(model, motion, options)]
+    elif anew:
+        made = _edited(model, motion, given, options)
     made = stand(made) if options.lock_feet else made
     _write(made, files)
     if (kept := made[0].kept) is not None:
@@ -256,5 +274,6 @@ def _write(motions: list[Motion], files: list[Path]) -> None:
         for motion, file in zip(motions, files, strict=True):
             export.save(motion, file)
     frames = ", ".join(str(len(m.joints)) for m in motions)
-    seeds = list(dict.fromkeys(str(m.seed) for m in motions))
-    print(f"wrote {', '.join(map(str, files))} ({frames} frames, seed{'s' * (len(seeds) > 1)} {', '.join(seeds)})")
+    seeds = list(dict.fromkeys(str(m.seed) for m in motions if m.seed is not None))
+    drawn = f", seed{'s' * (len(seeds) > 1)} {', '.join(seeds)}" if seeds else ""
+    print(f"wrote {', '.join(map(str, files))} ({frames} frames{drawn})")

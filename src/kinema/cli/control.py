@@ -6,19 +6,21 @@ import argparse
 from dataclasses import replace
 
 from kinema.motion.seams import Stretch, seams
-from kinema.motion.skeleton import Skeleton
-from kinema.motion.waypoints import read_waypoints
+from kinema.motion.skeleton import Skeleton, get_skeleton
+from kinema.motion.waypoints import Waypoints, read_waypoints
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.chaining import TRANSITION, shared_out
 from kinema.pipeline.editing import parse_frames
-from kinema.pipeline.following import follow
+from kinema.pipeline.following import Followed, carried, follow
 from kinema.pipeline.holding import hold
 from kinema.pipeline.requests import Take
 from kinema.types import Motion
 
 LONGEST = 20000
 """Frames that a chained motion may have."""
+FASTEST = 12.5
+"""Metres per second that a person runs at most: a way that is faster has other units or columns."""
 
 
 def hold_frames(model: TextToMotion, motion: Motion, options: argparse.Namespace) -> Motion:
@@ -44,8 +46,9 @@ def follow_path(model: TextToMotion, asked: list[Take], options: argparse.Namesp
         raise ValueError(
             "--path says itself how long a motion is (or --seconds does): leave --chain and lengths of prompts out"
         )
-    way, fps = read_waypoints(options.path, model.skeleton.fps), model.skeleton.fps
+    fps = model.skeleton.fps
     (count,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
+    way = _way(options.path, fps, count, "give --seconds to go it slower, or")
     if count is None and way.frames(fps) > model.max_frames:
         raise ValueError(
             f"{options.path} takes {way.seconds:.1f} s, the longest motion is {model.max_frames / fps:.1f} s; give "
@@ -53,11 +56,37 @@ def follow_path(model: TextToMotion, asked: list[Take], options: argparse.Namesp
         )
     texts, seeds = [take.prompt.text for take in asked], [take.seed for take in asked]
     made = follow(model, texts, way, count, seed=seeds, batch_size=options.batch_size, **options.set)
+    _tell_path(way, made)
+    return made.motions
+
+
+def take_along(motion: Motion, path: str) -> Motion:
+    """Take a motion as it is along the way of a file, in the way's own time, and say how far from it the root is."""
+    skeleton = get_skeleton(motion.skeleton)
+    way = _way(path, skeleton.fps, None, "give its rows a time, or")
+    made = carried([motion], way, skeleton)
+    _tell_path(way, made)
+    return made.motions[0]
+
+
+def _way(path: str, fps: float, count: int | None, fix: str) -> Waypoints:
+    """Read a way, say how it was understood, and refuse one that nobody could go in so many frames (None: its own)."""
+    way = read_waypoints(path, fps)
+    pace = way.length * fps / max(way.frames(fps) - 1 if count is None else count - 1, 1)
+    print(f"read {path}: {way.note}; {way.length:.1f} m at {pace:.2g} m/s")
+    if pace > FASTEST:
+        raise ValueError(
+            f"{path} goes {way.length:.1f} m at {pace:.0f} m/s, and nobody runs faster than {FASTEST:g}: {fix} write "
+            "it in metres"
+        )
+    return way
+
+
+def _tell_path(way: Waypoints, made: Followed) -> None:
     how = "known to the network" if made.strides is None else f"strides x {', '.join(f'{s:.2f}' for s in made.strides)}"
     print(
         f"path      {way.length:.1f} m: the root is {100 * made.away:.1f} cm from it on average, frame by frame; {how}"
     )
-    return made.motions
 
 
 def chained(model: TextToMotion, asked: list[Take], options: argparse.Namespace) -> Motion:

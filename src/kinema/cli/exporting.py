@@ -25,11 +25,12 @@ def export(options: argparse.Namespace) -> None:
     recording = read_recording(options.motion, told(options))
     print(f"read {recording.path}: {recording.note}")
     skeleton = recording.skeleton
+    changes = Changes(options.rate, options.in_place, options.facing, options.loop, options.z_up, options.unit)
+    write.check(options.out, skeleton, changes)
     motion = recording.motion(skeleton, skeleton.essential_width)
     if options.lock_feet:
         # A capture's floor is where its feet are, that of features where its rows say.
         (motion,) = stand([motion], float(motion.joints[..., 1].min()) if recording.features is None else None)
-    changes = Changes(options.rate, options.in_place, options.facing, options.loop, options.z_up, options.unit)
     path = write.save(motion, options.out, changes)
     rigged = write.RIGGED.get(write.format_of(path))
     print(f"wrote {path}{'' if rigged is None else _fit(motion, rigged.fit(motion))}")

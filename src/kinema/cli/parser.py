@@ -60,8 +60,12 @@ HOLD_HELP = (
     "(often 4 frames) is held, and the root is led from one to the next"
 )
 PATH_HELP = (
-    "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds), .npy or "
-    ".npz; rows without times are one a frame"
+    "way over the floor to go along: .csv of x, z (metres) and perhaps heading (degrees) and time (seconds); .npy of "
+    "x, z or x, y, z; .npz of such a path and perhaps headings and times; rows without times are one a frame"
+)
+ALONG_HELP = (
+    "way over the floor that the motion, as it is, is taken along, before anything becomes new (a file as generate "
+    "--path takes); alone, nothing is generated"
 )
 BLEND_HELP = "seconds in which new frames leave kept ones smoothly; 0 puts them side by side (default: 0.4)"
 FEET_HELP = "hold feet that stand (of what an edit keeps too); legs bend, nothing else moves"
@@ -70,6 +74,7 @@ PROMPTS_HELP = (
     "text and, if you like, frames or seconds, count, seed, name. What a prompt doesn't say the options do"
 )
 BATCH_HELP = "motions generated at once (default: 32); 1 gives the bits that a motion has alone"
+READ_HELP = "file of motion: .npz that kinema wrote, joints (T, J, 3) or features as .npy, .bvh, .amc, our .amass.npz"
 OUT_HELP = (
     f"file to write: {MOTIONS}; several motions are numbered, or named by a template, with a manifest.jsonl beside: "
     "'motions/{index:03d}-{slug}-{seed}.bvh', of index, slug (of the text), seed, take, name"
@@ -105,14 +110,13 @@ def command_line() -> argparse.ArgumentParser:
     make.add_argument(
         "--count", type=int, default=1, metavar="N", help="motions of each text, each with a seed of its own"
     )
-    make.add_argument("--batch-size", type=int, default=32, metavar="N", help=BATCH_HELP)
+    make.add_argument("--batch-size", type=int, metavar="N", help=BATCH_HELP)
     make.add_argument("--chain", action="store_true", help="join the texts to one long motion by generated transitions")
     make.add_argument("--path", metavar="FILE", help=PATH_HELP)
     change = add("edit", "regenerate a part of a motion to a text")
-    change.add_argument(
-        "--motion", required=True, help=".npz that generate wrote; joints (T, J, 3) or features as .npy"
-    )
-    change.add_argument("--text", required=True, help="what the person does")
+    change.add_argument("--motion", required=True, help=READ_HELP)
+    change.add_argument("--text", help="what the person does in what becomes new")
+    change.add_argument("--path", metavar="FILE", help=ALONG_HELP)
     which = change.add_mutually_exclusive_group()
     which.add_argument("--regenerate", metavar="RANGES", help=REGENERATE_HELP)
     which.add_argument("--keep", metavar="RANGES", help=KEEP_HELP)
@@ -158,7 +162,9 @@ def command_line() -> argparse.ArgumentParser:
     captured = pack.add_argument_group("captures", "--format bvh, amc or amass: a folder of takes")
     table = "CSV of file, start, end (seconds), caption, split; left out: pieces of nine seconds without captions"
     captured.add_argument("--captions", metavar="FILE", help=table)
-    captured.add_argument("--smplh", metavar="FOLDER", help="the body models that AMASS needs (male/model.npz, ...)")
+    captured.add_argument(
+        "--smplh", metavar="FOLDER", help="body models, needed by AMASS (male/model.npz, ...), not by our .amass.npz"
+    )
     _add_convention(pack)
     _add_settings(pack, "reader option, e.g. size=400 of synthetic; max_missing or max_unusable, shares of clips")
     _add_corpora(add("corpus", "build a corpus anew from what its owners publish", "corpora:corpus"))
@@ -224,7 +230,7 @@ def _add_convention(parser: argparse.ArgumentParser) -> None:
 
 def _add_export(parser: argparse.ArgumentParser) -> None:
     """Add what a motion may be changed by on its way out."""
-    parser.add_argument("motion", help="a file of motion: .npz of generate, .npy of joints, .bvh, .amc")
+    parser.add_argument("motion", help=READ_HELP)
     parser.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
     parser.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
     rigs = parser.add_argument_group("changes of .bvh, .glb, .vrma, .fbx and .amass.npz", "formats of rotations")

@@ -50,9 +50,7 @@ class Source:
         """Read the file."""
         if self.path.suffix.lower() in READERS:
             return read_capture(self.path)
-        if self.models is None:
-            raise ValueError(f"{self.path}: AMASS holds poses of a body model; say where it is (--smplh FOLDER)")
-        return read_amass(self.path, BodyModels(self.models))
+        return read_amass(self.path, None if self.models is None else BodyModels(self.models))
 
 
 @dataclass(frozen=True)

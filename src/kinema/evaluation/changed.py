@@ -51,6 +51,10 @@ class Changed(Source):
         """Return what the source measured."""
         return self.source.measured()
 
+    def seconds(self) -> float | None:
+        """Return how long a motion took the source; the change is left out."""
+        return self.source.seconds()
+
     def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"] | None:
         """Mark the frames that the source keeps."""
         return self.source.kept(lengths)

@@ -16,6 +16,7 @@ from torch import Tensor
 from kinema.decoding.draws import SeededDraws
 from kinema.evaluation.counting import NetworkCounter
 from kinema.evaluation.metrics.code_usage import CodeUsage
+from kinema.evaluation.stopwatch import Stopwatch
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.editing import kept_frames, paste, task_slots
 from kinema.pipeline.kept import encode_kept
@@ -48,6 +49,13 @@ class Source(ABC):
     def measured(self) -> dict[str, float]:
         """Return what the source measured of itself since the last call, by the names of metrics."""
         return {}
+
+    def seconds(self) -> float | None:
+        """Return how long a motion took to make since the last call, by the clock; None: none is made.
+
+        Apart from what is `measured`, which is the same every time.
+        """
+        return None
 
     def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"] | None:
         """Mark the frames of answers to clips of these lengths that are the clips' own; None: the source edits none."""
@@ -175,8 +183,7 @@ class TrainingClips(Protocol):
 class NearestTrainingCaption(Source):
     """Answer with the training clip whose caption is nearest to the prompt: what memory alone achieves.
 
-    Nearest is by the cosine of pooled text features. The answer starts at the clip's first frame and is as long as
-    the prompt's motion, or as the clip (in multiples of `unit`, as crops are) if that is shorter.
+    Nearest is by the cosine of pooled text features; the clip is cut as `trained_answer` does.
     """
 
     text_encoder: FrozenTextEncoder
@@ -201,15 +208,7 @@ class NearestTrainingCaption(Source):
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Look the prompts up."""
         nearest = (self._embed(batch.texts) @ self.keys.T).argmax(1).tolist()
-        clips = [np.asarray(self.store.frames_of(self.entries[k])) for k in nearest]
-        counts = [
-            min(n, len(clip) // self.unit * self.unit) for n, clip in zip(batch.lengths.tolist(), clips, strict=True)
-        ]
-        features = np.zeros((len(clips), max(counts), clips[0].shape[1]), dtype=np.float32)
-        for row, clip, count in zip(features, clips, counts, strict=True):
-            row[:count] = clip[:count]
-        device = batch.features.device
-        return answer(batch, torch.from_numpy(features).to(device), torch.tensor(counts, device=device))
+        return trained_answer(batch, self.store, [self.entries[k] for k in nearest], self.unit)
 
     def _embed(self, texts: list[str], size: int = 256) -> Float[Tensor, "n c"]:
         parts = [self.text_encoder(texts[i : i + size]).pooled.float().cpu() for i in range(0, len(texts), size)]
@@ -238,12 +237,14 @@ class Generated(Source):
         self.text_encoder = model.text_encoder
         self.counter = NetworkCounter(model.generator.networks)
         self.batches = self.motions = 0
+        self.took = Stopwatch(model.device)
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         """Generate one motion per caption."""
         text = encode_captions(self.text_encoder, batch)
         frames = batch.lengths if self.lengths == "real" else None
-        made = self.model.sample(text, frames, seeds=seeds, sampling=self.sampling)
+        with self.took.motions(len(seeds)):
+            made = self.model.sample(text, frames, seeds=seeds, sampling=self.sampling)
         self.batches, self.motions = self.batches + 1, self.motions + len(seeds)
         return answer(batch, made.features, made.lengths)
 
@@ -252,6 +253,10 @@ class Generated(Source):
         counted = self.counter.take(self.batches, self.motions)
         self.batches = self.motions = 0
         return counted
+
+    def seconds(self) -> float | None:
+        """Return a motion's share of the time from text features to features, decoding included."""
+        return self.took.take()
 
 
 class Edited(Source):
@@ -299,3 +304,17 @@ def encode_captions(encoder: FrozenTextEncoder, batch: MotionBatch) -> TextFeatu
 def answer(prompt: MotionBatch, features: Float[Tensor, "b t w"], lengths: Int[Tensor, " b"]) -> MotionBatch:
     """Put motions in the place of a batch's; captions and names stay."""
     return replace(prompt, features=features, lengths=lengths)
+
+
+def trained_answer(prompt: MotionBatch, store: TrainingClips, entries: Sequence[int], unit: int = UNIT) -> MotionBatch:
+    """Put training clips in the place of a batch's motions, from their first frame.
+
+    Each is as long as the prompt's motion, or as the clip (in multiples of `unit`, as crops are) if that is shorter.
+    """
+    clips = [np.asarray(store.frames_of(entry)) for entry in entries]
+    counts = [min(n, len(clip) // unit * unit) for n, clip in zip(prompt.lengths.tolist(), clips, strict=True)]
+    features = np.zeros((len(clips), max(counts), clips[0].shape[1]), dtype=np.float32)
+    for row, clip, count in zip(features, clips, counts, strict=True):
+        row[:count] = clip[:count]
+    device = prompt.features.device
+    return answer(prompt, torch.from_numpy(features).to(device), torch.tensor(counts, device=device))

@@ -27,7 +27,8 @@ TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
 DIMS, PERTURBATIONS = ("essential", "redundant"), ("add", "replace")
 SPACES = ("evaluator", "corpus")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
-SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "reconstruction", "generation")
+SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "oracle", "reconstruction", "generation")
+ORACLES = ("action", "style")
 
 
 def register_resolvers() -> None:

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.atomic import write_text
+from kinema.data.labels import require_labels
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain, read_config, validate
 from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
-from kinema.experiments.replications import REPLICATIONS, whole_lines
+from kinema.experiments.replications import EACH, REPLICATIONS, whole_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.sampling import build_sampling, sampling_spec
 from kinema.experiments.stages import companions_of, completions_of, get_stage, judges, stages
@@ -106,6 +107,8 @@ def describe(cfg: DictConfig) -> Row:
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     if "perturb" in identity:
         what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
+    if "oracle" in identity:
+        what = f"oracle_{cfg.oracle.knows}"
     what += ("_feet" if cfg.lock_feet else "") + ("_lifted" if cfg.lift else "")
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
@@ -145,6 +148,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         identity["lock_feet"] = True
     if cfg.source == "perturbed":
         identity["perturb"] = plain(cfg.perturb)
+    if cfg.source == "oracle":
+        identity["oracle"] = plain(cfg.oracle)
     if any((cfg.get("evaluators") or {}).values()):
         # Imported judges have no fingerprint that would hold what they read captions with.
         identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}
@@ -193,6 +198,8 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)
+    if cfg.source == "oracle":
+        require_labels(store)
     _check_reads(cfg, row)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
@@ -276,6 +283,7 @@ class _Scoring:
         started, folder = time.monotonic(), self.row.folder
         scorer = self.scorer
         result = scorer.replicate(replication)
+        each = scorer.source.seconds()
         if replication == 0:
             scorer.save_samples(folder.path / "samples.npz", result)
         line = {
@@ -284,6 +292,7 @@ class _Scoring:
             "breakdowns": result.breakdowns,
             "seconds": round(time.monotonic() - started, 2),
             "provenance": {**scorer.provenance, "versions": self.software},
+            **({} if each is None else {EACH: each}),
             **({"unread": names} if (names := unread(self.cfg)) else {}),
         }
         with folder.lock():

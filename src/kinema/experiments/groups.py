@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.prepare import LIMITS, READERS, check_reader, prepare_store
 from kinema.data.synthetic.corpus import Clips
 from kinema.evaluation.settings import EvaluationProtocol
-from kinema.experiments.config import DIMS, EDITS, LENGTHS, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
+from kinema.experiments.config import DIMS, EDITS, LENGTHS, ORACLES, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
 from kinema.experiments.dashboards import MODES
 from kinema.experiments.stages import judges, stages
 from kinema.motion.representation import VARIANTS
@@ -137,6 +137,13 @@ class Perturb(Options):
 
 
 @dataclass(frozen=True)
+class Oracle(Options):
+    """Choose what `source=oracle` knows of a prompt's motion."""
+
+    knows: Annotated[str, OneOf(ORACLES)]
+
+
+@dataclass(frozen=True)
 class Judges(Options):
     """Name the runs of imported evaluators."""
 
@@ -158,6 +165,7 @@ GROUPS: dict[str, type[Options]] = {
     "paths": Paths,
     "edit": Edit,
     "perturb": Perturb,
+    "oracle": Oracle,
     "evaluators": Judges,
 }
 """What others take values from stands first, so that errors name where a value was written."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from pathlib import Path
 
@@ -10,16 +9,13 @@ import torch
 import yaml
 from torch import Tensor
 
+from kinema.data.labels import has_labels, label_of, read_label
 from kinema.data.store import PackedStore
 from kinema.files.yaml import read_yaml
 from kinema.pipeline.repertoire import Repertoire, threshold_between, unit
 from kinema.text.frozen import FrozenTextEncoder
 
-LABEL, ACTION, STYLE = "label", "action", "style"
-"""The fields of a store that name what a clip shows; a label is `action`, `action|style` or `topic - details`."""
-
 FOREIGN = Path(__file__).with_name("foreign.yaml")
-_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z0-9])|(?<=[0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 def repertoire_of(store: PackedStore, encoder: FrozenTextEncoder) -> Repertoire | None:
@@ -28,7 +24,7 @@ def repertoire_of(store: PackedStore, encoder: FrozenTextEncoder) -> Repertoire 
     A label's is the mean of its captions', an action's that of its name. Mirrored clips are left out: their labels
     name the other side. None for a corpus without labels.
     """
-    captions = captions_of(store, "train") if {LABEL, ACTION} & {*store.fields} else {}
+    captions = captions_of(store, "train") if has_labels(store) else {}
     if not captions:
         return None
     shown = [
@@ -51,13 +47,6 @@ def repertoire_of(store: PackedStore, encoder: FrozenTextEncoder) -> Repertoire 
     return Repertoire(known.directions, known.owners, known.clips, known.styles, round(threshold, 4))
 
 
-def read_label(label: str) -> tuple[str, str | None]:
-    """Return action and style of a label, in words, e.g. of `walk-back|sad`, `dance - jetes`, `grabHighR`."""
-    action, _, style = label.partition("|")
-    action = _CAMEL.sub(" ", action.partition(" - ")[0].replace("-", " ")).lower()
-    return " ".join(action.split()), style.replace("-", " ") or None
-
-
 def captions_of(store: PackedStore, split: str) -> dict[str, str]:
     """Return the label of each distinct caption of a split's clips as they were captured."""
     found: dict[str, str] = {}
@@ -76,13 +65,6 @@ def foreign_sentences() -> list[str]:
 def directions_of(texts: list[str], encoder: FrozenTextEncoder) -> Tensor:
     """Return the texts' pooled vectors at length 1."""
     return unit(encoder(texts).pooled.float().cpu())
-
-
-def label_of(store: PackedStore, clip: int) -> str:
-    """Return the label of a clip, put together where its action and style stand apart."""
-    if LABEL in store.fields:
-        return store.clip_field(clip, LABEL)
-    return "|".join(store.clip_field(clip, field) for field in (ACTION, STYLE) if field in store.fields)
 
 
 def _highest(known: Repertoire, rows: Tensor) -> Tensor:

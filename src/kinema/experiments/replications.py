@@ -11,12 +11,16 @@ from kinema.files.json import NUMBER, Each
 from kinema.runs.lines import read_lines
 
 REPLICATIONS = "replications.jsonl"
+EACH = "seconds_per_motion"
+"""What a line has of the clock, not of the motion: no metric, since the same replication takes another time."""
+
 LINE = {
     "replication": int,
     "metrics": Each(NUMBER),
     "breakdowns": Each(Each(Each(NUMBER))),
     "provenance": dict,
     "seconds": NUMBER,
+    EACH: int | float | None,
     "unread": list | None,
 }
 """What a replication's line holds."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,13 @@ from omegaconf import DictConfig
 
 from kinema.atomic import replacing
 from kinema.data.datamodule import MotionDataModule
+from kinema.data.labels import shown_by
 from kinema.data.leakage import Nearness
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.changed import FeetLocked, Lifted
+from kinema.evaluation.oracle import Oracle
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.evaluation.training_set import TrainingSet
@@ -82,6 +85,7 @@ class Scorer:
             "lift": cfg.lift,
             "lock_feet": cfg.lock_feet,
             "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
+            "oracle": plain(cfg.oracle) if cfg.source == "oracle" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
             "protocol": plain(cfg.scale.protocol),
             "seed": cfg.seed,
@@ -148,6 +152,9 @@ class Scorer:
         if name == "nearest":
             train = self.store.split_entries("train")
             return sources.NearestTrainingCaption(self.store, train, self._text("train", self.protocol.split))
+        if name == "oracle":
+            train, shown = self.store.split_entries("train"), partial(shown_by, self.store)
+            return Oracle(self.store, train, shown, **plain(cfg.oracle))
         if name == "generation":
             from kinema.pipeline import TextToMotion
 

@@ -8,12 +8,15 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from kinema.data.labels import has_labels
+from kinema.data.store import PackedStore
 from kinema.experiments.benchmark import sections
 from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import CONF, compose, plain
-from kinema.experiments.corpus import corpus_label
+from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.evaluation import Row, describe
-from kinema.experiments.replications import over_seeds
+from kinema.experiments.replications import EACH, over_seeds
+from kinema.experiments.spent import spent
 from kinema.experiments.stages import stages
 
 WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
@@ -52,7 +55,7 @@ class TableRow:
         method = [f"method={self.spec['method']}"] if "method" in self.spec else []
         scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
         sampling = tuple(f"{stage.node}.sampling." for stage in stages().values())
-        own = [o for o in self.spec.get("overrides", []) if not o.startswith(sampling)]
+        own = [o for o in self.spec.get("overrides", []) if not o.lstrip("+").startswith(sampling)]
         own = [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
         return [*method, *own, *self._seed]
 
@@ -115,7 +118,7 @@ def meant_for(table: dict[str, Any], overrides: list[str]) -> bool:
 
 
 def plan(table: dict[str, Any], overrides: list[str], seeds: int = 1) -> list[TableRow]:
-    """Compose every row's configuration and find its folder; a row of the other `panel` is left out.
+    """Compose every row's configuration and find its folder; a row that is not for the corpus is left out.
 
     A row that scores what was trained comes once for each of so many training seeds, the caller's `seed` first.
     """
@@ -126,10 +129,18 @@ def plan(table: dict[str, Any], overrides: list[str], seeds: int = 1) -> list[Ta
             rows.append(TableRow(spec, None, None))
             continue
         cfg = compose([*overrides, *row_overrides(spec)], "evaluate")
-        if spec.get("panel", PANELS[cfg.data.skeleton]) == PANELS[cfg.data.skeleton]:
+        if _is_for(spec, cfg):
             rows.append(TableRow(spec, cfg, describe(cfg)))
             rows += _further_seeds(rows[-1], overrides, seeds)
     return rows
+
+
+def _is_for(spec: dict[str, Any], cfg: DictConfig) -> bool:
+    """Say whether a row is for the corpus: of its `panel`, and for an oracle with labels."""
+    panel = PANELS[cfg.data.skeleton]
+    if spec.get("panel", panel) != panel:
+        return False
+    return cfg.source != "oracle" or has_labels(PackedStore.open(open_corpus(cfg)))
 
 
 def _further_seeds(first: TableRow, overrides: list[str], seeds: int) -> list[TableRow]:
@@ -252,8 +263,16 @@ def _results(group: Group) -> list[dict[str, Any]] | None:
     if not all(row.complete for row in group):
         return []
     renamed = group[0].spec.get("metrics")
-    found = over_seeds([[line["metrics"] for line in row.lines] for row in group])
+    found = over_seeds([_lines(row) for row in group])
     return [{key: m[name] for key, name in renamed.items()} for m in found] if renamed else found
+
+
+def _lines(row: TableRow) -> list[dict[str, Any]]:
+    """Return a row's metrics by replication, each with what was timed and what its runs cost."""
+    if row.place is None:
+        return []
+    cost = spent(row.place)
+    return [{**line["metrics"], **({EACH: line[EACH]} if EACH in line else {}), **cost} for line in row.lines]
 
 
 def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:

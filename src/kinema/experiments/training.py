@@ -85,7 +85,8 @@ def make_model(
         fitted = fit(module, data, folder.path, machine, callbacks=callbacks, record=record)
         if global_rank() == 0:
             model.load_state_dict(fitted.weights)
-            stage.finish(model, store)
+            stage.finish(model.to(device), store)
+            model.cpu()
             meta |= {"step": fitted.step, **stage.metadata(cfg, module, needs, folder)}
             weights.save(model, spec, folder.weights, **meta)
         for dashboard in dashboards if cfg.logger.artifacts else ():

@@ -40,8 +40,8 @@ def carry(
     length, travelled = (skeleton.meters * float(_steps(way).sum()) for way in (places, base))
     if travelled < STILL < length:
         raise ValueError(
-            f"the motion travels {travelled:.2f} m, the path {length:.2f} m: feet would only slide along it; say in "
-            "the text that the person walks or runs"
+            f"the motion travels {travelled:.2f} m, the path {length:.2f} m: feet would only slide along it; take "
+            "one that walks or runs (say so in the text)"
         )
     frames = np.interp(_progress(places), _progress(base), np.arange(len(rows)))
     along = course(places, scale) - _taken(course(base, scale), frames)

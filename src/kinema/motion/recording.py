@@ -12,6 +12,7 @@ import torch
 from kinema.files.arrays import NUMBERS, Wanted, read_npy, read_npz
 from kinema.files.kinds import describe, head_of, require_file
 from kinema.motion.captures import amass
+from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.mapping import read_mapping
 from kinema.motion.captures.reading import READERS, REFUSED, captured_joints, read_capture
 from kinema.motion.checks import Problem, check_clip
@@ -76,7 +77,7 @@ def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recordin
     """Read a clip. Raises FileNotFoundError, or ValueError that names the file, what it is and what to do."""
     path = Path(path)
     if path.suffix.lower() in (*READERS, *REFUSED):
-        return _captured(path, convention)
+        return _captured(path, read_capture(path), convention)
     head = head_of(require_file(path, FIX))
     if head.startswith(b"PK"):
         return _archive(path, convention)
@@ -85,14 +86,12 @@ def read_recording(path: str | Path, convention: Convention = AS_IS) -> Recordin
     return _from_array(path, read_npy(path, Wanted(NUMBERS), fix=FIX), convention)
 
 
-def _captured(path: Path, told: Convention) -> Recording:
+def _captured(path: Path, capture: Capture, told: Convention) -> Recording:
     """Read a capture of another skeleton, whose names say which joint is which."""
     if told.order is not None or told.handed is not None:
         raise ValueError(f"{path}: joints of a capture are known by their names: leave --order and --handed out")
     mapping = None if told.mapping is None else read_mapping(told.mapping)
-    joints, understood = captured_joints(
-        read_capture(path), path, mapping=mapping, up=told.up, scale=told.scale, fps=told.fps
-    )
+    joints, understood = captured_joints(capture, path, mapping=mapping, up=told.up, scale=told.scale, fps=told.fps)
     return Recording(path, HUMANML3D, joints.astype(np.float32), None, told, str(understood))
 
 
@@ -128,6 +127,8 @@ def _archive(path: Path, told: Convention) -> Recording:
             raise ValueError(f"{path} is a motion that kinema wrote: no option changes its convention")
         rows = motion.features if motion.features.shape[1] >= skeleton.essential_width else None
         return Recording(path, skeleton, motion.joints, rows, told, note, motion.text, motion)
+    if set(names) >= {"poses", "trans", amass.REST}:
+        return _captured(path, amass.read_amass(path), told)
     if any(known <= set(names) for known in BODY_PARAMETERS):
         raise ValueError(f"{path} {_body_parameters(path, names)}")
     numbers = read_npz(path, {name: Wanted(f"{NUMBERS}bUS", optional=True) for name in names}, fix=FIX)

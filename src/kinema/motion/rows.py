@@ -38,9 +38,9 @@ def essential_rows(
     step = torch.cat((joints[:, 1:, 0] - joints[:, :-1, 0], torch.zeros_like(joints[:, :1, 0])), dim=1)
     ahead = torch.cat((yaw[:, 1:], yaw[:, -1:]), dim=1)
     turn = torch.remainder(ahead - yaw + math.pi, 2 * math.pi) - math.pi
-    velocities = torch.cat((turn[..., None] / 2, _turned(step, ahead)[..., [0, 2]]), dim=-1)
+    velocities = torch.cat((turn[..., None] / 2, turned(step, ahead)[..., [0, 2]]), dim=-1)
     floor = joints[:, :, :1] * joints.new_tensor([1, 0, 1])
-    local = _turned(joints[:, :, 1:] - floor, yaw[..., None]).flatten(2)
+    local = turned(joints[:, :, 1:] - floor, yaw[..., None]).flatten(2)
     rows = torch.cat((_rows(velocities, here, lengths - 2), joints[:, :, 0, 1:2], local), dim=-1)
     return rows.masked_fill(here[:, None] >= lengths[:, None, None], 0.0)
 
@@ -67,7 +67,7 @@ def _smoothed(values: Float[Tensor, "b c t"]) -> Float[Tensor, "b c t"]:
     return F.conv1d(held.flatten(0, 1)[:, None], (weights / weights.sum())[None, None]).view_as(values)
 
 
-def _turned(vectors: Float[Tensor, "*b 3"], yaw: Float[Tensor, "*#b"]) -> Float[Tensor, "*b 3"]:
+def turned(vectors: Float[Tensor, "*b 3"], yaw: Float[Tensor, "*#b"]) -> Float[Tensor, "*b 3"]:
     """Turn vectors about +Y."""
     cos, sin = yaw.cos(), yaw.sin()
     x, y, z = vectors.unbind(-1)

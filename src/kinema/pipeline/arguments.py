@@ -13,6 +13,9 @@ from kinema.options import Count, check_value
 from kinema.text.frozen import check_texts
 from kinema.types import Motion
 
+BATCH = 32
+"""Motions that are generated at once, unless another number is asked for."""
+
 
 def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: int) -> list[int | None]:
     """Return the frames of each of `size` samples from one value or one per sample; None where none are asked for."""

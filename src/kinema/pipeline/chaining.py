@@ -2,14 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from kinema.types import Known, Latents, LatentSpace, frame_mask
+from kinema.pipeline.blending import BLEND, put_back
+from kinema.pipeline.editing import kept_frames
+from kinema.pipeline.kept import encode_kept
+from kinema.tokenizers import MotionTokenizer
+from kinema.types import Known, Latents, LatentSpace, MotionBatch, frame_mask
 
 TRANSITION = 8
 """Frames of a transition, unless others are asked for."""
+
+Fill = Callable[[Known], Latents]
+"""Generate what windows leave free."""
+
+
+def chained(
+    tokenizer: MotionTokenizer, parts: Latents, transition: int, most: int, fill: Fill
+) -> tuple[MotionBatch, Bool[Tensor, "1 t"]]:
+    """Join parts to one motion, by transitions that `fill` generates; the mask is True at the parts' own frames.
+
+    All latents are decoded at once (BAD §5). Latents that say where joints stand have no place in another motion:
+    there the parts' rows are joined, and a window of them is taken to stand where its rows lead, the way through the
+    transition that of the last row before it.
+    """
+    space = tokenizer.space
+    if not tokenizer.placed:
+        windows = bridges(parts, space, transition, most)
+        whole, own = join(parts, space, fill(windows), ~windows.mask & windows.latents.mask)
+        return tokenizer.decode(whole), kept_frames(own, space)
+    rows = _grouped(tokenizer.decode(parts), space)
+    windows = bridges(rows, space, transition, most)
+    source, keep = _rows(windows.latents, space), kept_frames(windows.mask, space)
+    last = torch.where(keep, torch.arange(keep.shape[1], device=keep.device), -1).cummax(dim=1).values
+    steady = source.features.gather(1, last[..., None].expand_as(source.features))
+    source = MotionBatch(steady * source.mask[..., None], source.lengths)
+    made = tokenizer.decode(fill(encode_kept(tokenizer, source, windows.mask)))
+    made = tokenizer.described(made, source.features, keep)
+    made = put_back(made, source.features, keep, tokenizer.representation.skeleton, BLEND)
+    whole, own = join(rows, space, _grouped(made, space), ~windows.mask & windows.latents.mask)
+    return _rows(whole, space), kept_frames(own, space)
 
 
 def bridges(parts: Latents, space: LatentSpace, transition: int, most: int) -> Known:
@@ -69,6 +105,18 @@ def shared_out(count: int, space: LatentSpace, transition: int, most: int) -> li
     size = -(-(latents + free) // (most + free))
     left = latents - (size - 1) * free
     return [unit * (left // size + (i < left % size)) for i in range(size)]
+
+
+def _grouped(motion: MotionBatch, space: LatentSpace) -> Latents:
+    """Lay the rows that one latent stands for side by side."""
+    unit = space.in_time("joining motions")
+    values = motion.features.unflatten(1, (-1, unit)).flatten(2)
+    return Latents(space.latents_of(motion.lengths), motion.lengths, values=values)
+
+
+def _rows(groups: Latents, space: LatentSpace) -> MotionBatch:
+    """Lay rows behind each other again."""
+    return MotionBatch(groups.content.unflatten(2, (space.in_time("joining motions"), -1)).flatten(1, 2), groups.frames)
 
 
 def _take(content: Tensor, index: Int[Tensor, "b n"]) -> Tensor:

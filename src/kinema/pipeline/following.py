@@ -45,14 +45,19 @@ def follow(
         source, trajectory = _known(model, places, headings)
         made = model.edit([source] * len(texts), texts, parts="body", blend=0.0, **options)
         motions = [replace(one, joints=trajectory.joints(one.features, skeleton), kept=None) for one in made]
-        strides = None
-    else:
-        motions, strides = [], []
-        for one in model.generate(texts, size, **options):
-            rows, trajectory, stride = carry(one.features, places, headings, skeleton)
-            motions.append(replace(one, features=rows, joints=trajectory.joints(rows, skeleton)))
-            strides.append(stride)
-    return Followed(motions, _away(motions, meters, skeleton), strides)
+        return Followed(motions, _away(motions, meters, skeleton), None)
+    return carried(model.generate(texts, size, **options), way, skeleton, size)
+
+
+def carried(motions: Sequence[Motion], way: Waypoints, skeleton: Skeleton, count: int | None = None) -> Followed:
+    """Take motions along a way as they are (`motion.carrying`), in `count` frames or (None) in the way's own time."""
+    meters, headings = way.at(way.frames(skeleton.fps) if count is None else count)
+    made, strides = [], []
+    for one in motions:
+        rows, trajectory, stride = carry(one.features, meters / skeleton.meters, headings, skeleton)
+        made.append(replace(one, features=rows, joints=trajectory.joints(rows, skeleton), kept=None))
+        strides.append(stride)
+    return Followed(made, _away(made, meters, skeleton), strides)
 
 
 def _known(model: TextToMotion, places: np.ndarray, headings: np.ndarray | None) -> tuple[Motion, Trajectory]:

@@ -18,15 +18,14 @@ from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
 from kinema.options import Count, check, check_value
-from kinema.pipeline.arguments import batches, batches_by_length, check_sources, frame_counts, paired
+from kinema.pipeline.arguments import BATCH, batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
-from kinema.pipeline.chaining import TRANSITION, bridges, join
+from kinema.pipeline.chaining import TRANSITION, chained
 from kinema.pipeline.editing import (
     Ranges,
     edited_features,
     edited_frames,
     in_place,
-    kept_frames,
     kept_latents,
     resolve_ranges,
     stack_sources,
@@ -117,7 +116,7 @@ class TextToMotion(Portable):
         *,
         seconds: float | Sequence[float | None] | None = None,
         seed: int | list[int] | None = None,
-        batch_size: int = 32,
+        batch_size: int = BATCH,
         **sampling: Any,
     ) -> list[Motion]:
         """Generate one motion per text, `frames` or `seconds` long (one value, or one per text).
@@ -153,18 +152,13 @@ class TextToMotion(Portable):
         """Generate one long motion: a part per text, joined by generated transitions of `transition` frames.
 
         Each part is generated alone; between two neighbours the last half of the one and the first half of the other
-        are known and what is between them, in whole latents, is generated to the text of the first (BAD §5, MMM). All
-        latents are decoded at once. The motion may be longer than any of the training; `kept` marks parts' own frames.
+        are known and what is between them, in whole latents, is generated to the text of the first (BAD §5, MMM;
+        `pipeline.chaining`). The motion may be longer than any of the training; `kept` marks parts' own frames.
         """
         texts = check_texts(texts)
         check_value(transition, Count, "transition")
         options, space = self.changed_sampling(sampling), self.generator.space
         most = self.max_frames // space.in_time("joining motions")
-        if self.tokenizer.placed:
-            raise ValueError(
-                "joining motions needs latents that can be laid one behind the other, but here they say where joints "
-                "stand; choose a method whose tokenizer keeps motion relative to its root (mardm_sit, mdm, ...)"
-            )
         # A transition draws its own numbers, not those of the part before it.
         seeds = request_seeds(seed, 2 * len(texts) - 1)
         seeds, between = seeds[: len(texts)], torch.tensor(seeds[len(texts) :])
@@ -178,12 +172,15 @@ class TextToMotion(Portable):
             asked = None if wanted is None else space.whole(wanted).to(self.device)
             parts = self.generator.sample(text, asked, seeds=drawn, sampling=options)
             if len(texts) > 1:
-                known = bridges(parts, space, transition, most)
                 first = self.text_encoder(texts[:-1]).to(self.device)
-                bridged = self.generator.sample(first, None, seeds=between, known=known, sampling=options)
-                parts, own = join(parts, space, bridged, ~known.mask & known.latents.mask)
-                keep = kept_frames(own, space)
-            (motion,) = self._motions(self.tokenizer.decode(parts), ["; ".join(texts)], [seeds[0]], keep)
+
+                def fill(known: Known) -> Latents:
+                    return self.generator.sample(first, None, seeds=between, known=known, sampling=options)
+
+                batch, keep = chained(self.tokenizer, parts, transition, most, fill)
+            else:
+                batch = self.tokenizer.decode(parts)
+            (motion,) = self._motions(batch, ["; ".join(texts)], [seeds[0]], keep)
         return motion
 
     def edit(
@@ -194,7 +191,7 @@ class TextToMotion(Portable):
         *,
         parts: str | None = None,
         seed: int | list[int] | None = None,
-        batch_size: int = 32,
+        batch_size: int = BATCH,
         paste: bool = True,
         blend: float = BLEND,
         **sampling: Any,

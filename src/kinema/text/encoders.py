@@ -9,9 +9,10 @@ import torch
 from kinema.text.clip import ClipTextEncoder
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.text.hashed import HashedTextEncoder
+from kinema.text.hidden import PRETRAINED, pretrained_encoder
 from kinema.text.minilm import MiniLMTextEncoder
 
-ENCODERS = ("clip_b32", "clip_b32_77", "clip_l14", "minilm", "hashed")
+ENCODERS = ("clip_b32", "clip_b32_77", "clip_l14", *PRETRAINED, "minilm", "hashed")
 
 
 def build_text_encoder(
@@ -20,6 +21,8 @@ def build_text_encoder(
     """Make a frozen text encoder by name; `path` is a local folder, or for CLIP a hub id."""
     if name.startswith("clip_") and name in ENCODERS:
         return ClipTextEncoder(name, path, device)
+    if name in PRETRAINED:
+        return pretrained_encoder(name, path, device)
     if name == "minilm":
         return MiniLMTextEncoder(path, device)
     if name == "hashed":

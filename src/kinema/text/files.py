@@ -6,7 +6,7 @@ import contextlib
 import functools
 import hashlib
 import importlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -96,20 +96,35 @@ def clip_folder(path: str | Path | None, repository: str, option: str) -> Path:
     return folder
 
 
+def local_folder(where: str, tokenizer: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """Return the folder of a transformers model, or the hub's local cache of it, and which files it lacks.
+
+    Any one file of `tokenizer` will do. Nothing is downloaded.
+    """
+    folder = Path(where) if Path(where).is_dir() else None
+    if folder is None and is_hub_id(where):
+        folder = _from_hub(where, local=(True,))
+    if folder is None:
+        return None, []
+    lacking = [] if (folder / "config.json").is_file() else ["config.json"]
+    lacking += [] if find_weights(folder) else ["model.safetensors"]
+    return folder, lacking + ([] if any((folder / name).is_file() for name in tokenizer) else [tokenizer[0]])
+
+
 def is_hub_id(name: str) -> bool:
     """Tell a repository of the hub, OWNER/NAME, from a path."""
     return name.count("/") == 1 and not name.startswith((".", "/", "~")) and not Path(name).exists()
 
 
-def _from_hub(repository: str) -> Path | None:
-    """Return the hub's snapshot (the local cache first); None if it can't be reached or doesn't exist."""
+def _from_hub(repository: str, local: Sequence[bool] = (True, False)) -> Path | None:
+    """Return the hub's snapshot (the `local` cache first); None if it can't be reached or doesn't exist."""
     hub = require("huggingface_hub", "a model from the Hugging Face hub")
     small = ["*.json", "merges.txt", "vocab.txt"]
-    for local in (True, False):
+    for cached in local:
         for weights in ("model.safetensors", "pytorch_model.bin"):
             try:
                 patterns = [*small, weights]
-                folder = Path(hub.snapshot_download(repository, allow_patterns=patterns, local_files_only=local))
+                folder = Path(hub.snapshot_download(repository, allow_patterns=patterns, local_files_only=cached))
             except (OSError, ValueError):  # offline, not cached, no such repository, malformed id
                 break
             if find_weights(folder) is not None:

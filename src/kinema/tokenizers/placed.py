@@ -52,13 +52,21 @@ class PlacedTokenizer(MotionTokenizer):
             recover_joints(torch.from_numpy(np.asarray(rows, np.float64)), skeleton).flatten(1).numpy()
             for rows in clips
         )
-        mean, std = mean.reshape(-1, 3), std.reshape(-1, 3)
+        for buffer, values in zip(
+            (self.mean, self.std), self.pooled(mean.reshape(-1, 3), std.reshape(-1, 3)), strict=True
+        ):
+            buffer.copy_(values)
+
+    def pooled(
+        self, mean: Float[np.ndarray, "j c"], std: Float[np.ndarray, "j c"]
+    ) -> tuple[Float[Tensor, "j c"], Float[Tensor, "j c"]]:
+        """Pool moments over the joints, where they share them; what never changes is divided by 1."""
         if self.statistics == "shared_axis":
-            pooled = mean.mean(0)
-            squares = (np.square(std) + np.square(mean)).mean(0) - np.square(pooled)
-            mean, std = (np.broadcast_to(values, mean.shape) for values in (pooled, np.sqrt(squares)))
-        self.mean.copy_(torch.from_numpy(mean.astype(np.float32)))
-        self.std.copy_(torch.from_numpy(np.where(std > 0, std, 1).astype(np.float32)))
+            whole = mean.mean(0)
+            squares = (np.square(std) + np.square(mean)).mean(0) - np.square(whole)
+            mean, std = (np.broadcast_to(values, mean.shape) for values in (whole, np.sqrt(squares)))
+        std = np.where(std > 0, std, 1)
+        return torch.from_numpy(mean.astype(np.float32)), torch.from_numpy(std.astype(np.float32))
 
     def identity(self) -> dict[str, str]:
         """Name the rows' representation, and the statistics of the joints."""
@@ -67,9 +75,17 @@ class PlacedTokenizer(MotionTokenizer):
 
     def place(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
         """Recover and normalise the joints of de-normalised rows, zero past the lengths."""
+        return self.normalize(self.recovered(motion), motion.mask)
+
+    def recovered(self, motion: MotionBatch) -> Float[Tensor, "b t j 3"]:
+        """Recover the joints of de-normalised rows, in the skeleton's unit."""
+        # NumPy's own numbers are double; the networks behind are not.
         rows = motion.features.float() if motion.features.dtype == torch.float64 else motion.features
-        values = (recover_joints(rows, self.representation.skeleton) - self._fitted(self.mean)) / self.std
-        return values.masked_fill(~motion.mask[..., None, None], 0.0)
+        return recover_joints(rows, self.representation.skeleton)
+
+    def normalize(self, joints: Float[Tensor, "b t j 3"], real: Bool[Tensor, "b t"]) -> Float[Tensor, "b t j 3"]:
+        """Normalise joints, zero where frames aren't real."""
+        return ((joints - self._fitted(self.mean)) / self.std).masked_fill(~real[..., None, None], 0.0)
 
     def describe(self, values: Float[Tensor, "b t j 3"], frames: Int[Tensor, " b"]) -> MotionBatch:
         """Describe normalised joints by rows, zero past `frames`."""

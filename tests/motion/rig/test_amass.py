@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kinema.data.captures import read_captures
 from kinema.data.synthetic import synthetic_catalog
 from kinema.motion import export
 from kinema.motion.captures.amass import BodyModels, read_amass
 from kinema.motion.kinematics import bone_vectors
+from kinema.motion.recording import read_recording
 from kinema.motion.rig.changes import Changes
 from kinema.motion.rig.fit import fit_rig
 from kinema.motion.rig.pose import HUMANML3D_REST, SMPL_REST, smpl_rest_pose
@@ -79,6 +83,44 @@ def test_our_own_reader_reads_it_with_a_body_of_these_bones(written, tmp_path):
         x, y, z = np.moveaxis(read.positions, -1, 0)
         np.testing.assert_allclose(np.stack([x, z, -y], -1), fit_rig(motion.joints, SMPL_REST, 20).positions, atol=1e-6)
         assert read.fps == 20
+
+
+def test_it_is_read_back_without_a_body_model(written, tmp_path):
+    """In its own bones, upright although the body lies: the file says which axis is up."""
+    turned = replace(motions()[0], joints=motions()[0].joints[..., [0, 2, 1]] * np.float32([1, -1, 1]))
+    for motion, path in (*written, (turned, export.save(turned, tmp_path / "lying.amass.npz"))):
+        recording = read_recording(path)
+        fitted = fit_rig(motion.joints, SMPL_REST, 20).positions
+        assert np.abs(recording.joints - fitted).max() < 1e-4
+        assert recording.note.startswith("SMPL, 20 fps, z up, guessed scale 1: a body of ")
+    fast = export.save(written[0][0], tmp_path / "a.amass.npz", Changes(fps=60))
+    np.testing.assert_allclose(read_recording(fast).joints, read_recording(written[0][1]).joints, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rest_joints": np.zeros((21, 3))}, r"rest_joints has shape \(21, 3\), allowed: \(22, 3\)"),
+        ({"rest_joints": np.full((22, 3), np.nan)}, "infinite rest_joints"),
+        ({"up_axis": np.array("up")}, "says up_axis='up'; allowed: x, y, z"),
+        ({"rest_joints": np.array([print] * 22, dtype=object)}, "Python objects"),
+        ({"rest_joints": None}, "holds parameters of an SMPL body"),
+    ],
+)
+def test_what_is_wrong_with_its_own_keys_is_said(changes, message, written, tmp_path):
+    with np.load(written[0][1]) as file:
+        content = {name: value for name, value in (dict(file) | changes).items() if value is not None}
+    np.savez(tmp_path / "bad.amass.npz", **content)
+    with pytest.raises(ValueError, match=message):
+        read_recording(tmp_path / "bad.amass.npz")
+
+
+def test_a_corpus_is_prepared_of_it_without_a_body_model(written, tmp_path):
+    catalog = read_captures(written[0][1].parent, format="amass")
+    assert len(catalog.dropped) == 0
+    first = next(clip for clip in catalog if clip.name == "0.amass")
+    fitted = fit_rig(written[0][0].joints, SMPL_REST, 20).positions
+    np.testing.assert_allclose(first.joints(), fitted, atol=1e-4)
 
 
 def test_the_mean_body_moves_the_way_the_motion_does(written):

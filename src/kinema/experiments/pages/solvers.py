@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,56 @@ if TYPE_CHECKING:
 DEFAULT = "default"
 QUALITIES = {"fid": "FID", "r3": "R@3"}
 COUNTS = {"denoiser_rows": "rows", "denoiser_calls": "calls", "transformer_rows": "transformer rows"}
-SHOWN = ("method", "solver", "steps", "rows", "calls", "transformer rows", "fid", "fid ±", "r3", "r3 ±", "n", "fast")
+SHOWN = (
+    "method",
+    "solver",
+    "steps",
+    "grid",
+    "guided",
+    "rows",
+    "calls",
+    "transformer rows",
+    "fid",
+    "fid ±",
+    "r3",
+    "r3 ±",
+    "n",
+    "fast",
+)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Hold what a point changes of a method's sampling: nothing of it is the method's default.
+
+    `steps` None are the solver's own; `grid` None is the method's, `interval` where guidance acts.
+    """
+
+    solver: str = DEFAULT
+    steps: int | str | None = None
+    grid: str | None = None
+    interval: tuple[float, float] | None = None
+
+    @property
+    def words(self) -> list[str]:
+        """Name it, as keys and labels do."""
+        told = (self.solver, self.steps, self.grid, self.guided)
+        return [str(word) for word in told if word]
+
+    @property
+    def guided(self) -> str | None:
+        """Say where guidance acts."""
+        return None if self.interval is None else "guided {:g} to {:g}".format(*self.interval)
+
+    @property
+    def overrides(self) -> list[str]:
+        """The overrides that make it; a method's file need not have the keys of grid and interval."""
+        at, found = "generator.sampling.", []
+        if self.solver != DEFAULT:
+            steps = "null" if self.steps is None else self.steps
+            found += [f"{at}solver={self.solver}", f"{at}solver_steps={steps}"]
+        found += [f"++{at}solver_grid={self.grid}"] if self.grid else []
+        return found + ([f"++{at}guidance_interval={list(self.interval)}"] if self.interval else [])
 
 
 def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
@@ -35,26 +85,35 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
 
 
 def points(page: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Return a table's row for real motion, and for every method with its default, each solver and number of steps."""
+    """Return a table's row for real motion, and for every method with its default and each choice of its sampler.
+
+    That is each solver (on each grid) with each number of steps, and the default with guidance in each of the method's
+    `intervals` alone.
+    """
     yield {"key": "real", "label": "Real motion", "of": "Real motion", "source": "real"}
     for spec in page["methods"]:
-        own = spec.get("overrides", [])
-        choices = [(DEFAULT, None)]
-        choices += [(s, n) for s, counts in page["solvers"][spec["solvers"]].items() for n in counts]
-        for solver, steps in choices:
-            count = "null" if steps is None else steps
-            chosen = [f"generator.sampling.solver={solver}", f"generator.sampling.solver_steps={count}"]
-            words = [spec["key"], solver, *([str(steps)] if steps else [])]
-            row = {"key": "-".join(words), "label": " ".join([spec["label"], *words[1:]]), "of": spec["label"]}
-            row |= {"source": "generation", "method": spec["method"], "solver": solver, "steps": steps}
-            yield row | {"overrides": own if solver == DEFAULT else [*own, *chosen]}
+        for chosen in (Choice(), *_choices(spec, page["solvers"][spec["solvers"]])):
+            row = {
+                "key": "-".join((spec["key"], *chosen.words)).replace(" ", "-"),
+                "label": " ".join((spec["label"], *chosen.words)),
+            }
+            row |= {"of": spec["label"], "source": "generation", "method": spec["method"]}
+            row |= {"solver": chosen.solver, "steps": chosen.steps, "grid": chosen.grid, "guided": chosen.guided}
+            yield row | {"overrides": [*spec.get("overrides", []), *chosen.overrides]}
+
+
+def _choices(spec: dict[str, Any], solvers: dict[str, list[int | str | None]]) -> Iterator[Choice]:
+    for name, counts in solvers.items():
+        solver, _, grid = name.partition(" ")
+        yield from (Choice(solver, steps, grid or None) for steps in counts)
+    yield from (Choice(interval=tuple(interval)) for interval in spec.get("intervals", ()))
 
 
 def results(row: TableRow) -> dict[str, Any]:
     """Return one point: what it costs and how good it is."""
     spec, lines = row.spec, [line["metrics"] for line in row.lines]
     found = {"key": spec["key"], "method": spec["of"], "solver": spec.get("solver", DEFAULT)}
-    found |= {"steps": spec.get("steps"), "n": len(lines)}
+    found |= {"steps": spec.get("steps"), "grid": spec.get("grid"), "guided": spec.get("guided"), "n": len(lines)}
     for name, shown in COUNTS.items():
         counted = [metrics[name] for metrics in lines if name in metrics]
         found[shown] = sum(counted) / len(counted) if counted else None
@@ -112,5 +171,6 @@ def _draw(figure: Figure, rows: Rows) -> None:
 
 
 def _series(row: dict[str, Any]) -> str:
-    """Name the line of a point: its solver, those of leading timesteps apart."""
-    return f"{row['solver']} leading" if str(row["steps"]).startswith("leading") else row["solver"]
+    """Name the line of a point: its solver and grid, those of leading timesteps and of guided intervals apart."""
+    leading = "leading" if str(row["steps"]).startswith("leading") else None
+    return " ".join(word for word in (row["solver"], leading, row["grid"], row["guided"]) if word)

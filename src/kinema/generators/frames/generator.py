@@ -144,7 +144,7 @@ class SequenceDiffusion(Generator):
             )
         values = values if kept is None else kept.impose(values)
         values = values.masked_fill(~real[..., None], 0.0)
-        counted = lengths if frames is None else frames.to(device)
+        counted = self.space.frames_of(lengths) if frames is None else frames.to(device)
         return Latents(lengths=lengths, frames=counted, values=values[:, :longest])
 
     def solved(

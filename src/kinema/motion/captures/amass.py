@@ -1,5 +1,7 @@
 """Read AMASS archives: poses of SMPL-H or SMPL-X bodies, whose joints come from the user's own body-model file.
 
+An archive that kinema wrote (`motion.formats.amass`) brings its own body's joints, and needs no model.
+
 The pelvis is at its place in the shaped body plus `trans`. Poses are axis-angle, the body's 22 joints first; Z is up.
 Bodies breathe with their soft-tissue coefficients (`dmpls`) where the user has these too (HUMANML3D_DATA §2).
 """
@@ -18,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from kinema.files.arrays import NUMBERS, Wanted, read_npz
 from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.mapping import known_mappings
+from kinema.motion.convention import AXES
 from kinema.motion.skeleton import HUMANML3D
 
 BODY = 22
@@ -25,6 +28,8 @@ BODY = 22
 SHAPES, SOFT = 10, 8
 """Coefficients that are read of the shape and of the soft tissue, as HumanML3D does."""
 RATES = ("mocap_framerate", "mocap_frame_rate")
+REST, UP = "rest_joints", "up_axis"
+"""Names that kinema's archives have beyond AMASS' own: joints at rest (22, 3), Y up; the world's upward axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +86,11 @@ class BodyModels:
         return read_body_model(place, None if self.soft is None else self.soft / gender / "model.npz")
 
 
-def read_amass(path: str | Path, models: BodyModels) -> Capture:
-    """Read an AMASS archive as a capture of the 22 joints, named as the skeleton names them."""
+def read_amass(path: str | Path, models: BodyModels | None = None) -> Capture:
+    """Read an AMASS archive as a capture of the 22 joints, named as the skeleton names them.
+
+    Raises ValueError for one that is broken, or that needs body models where there are none.
+    """
     path = Path(path)
     archive = _arrays(path, ("poses", "trans"), "an AMASS archive")
     poses, trans = archive["poses"].astype(np.float64), archive["trans"].astype(np.float64)
@@ -91,16 +99,35 @@ def read_amass(path: str | Path, models: BodyModels) -> Capture:
         raise ValueError(f"{path} has no frame rate ({' or '.join(RATES)}), or none from 1 to 1000; it has {rate}")
     if poses.ndim != 2 or poses.shape[1] < 3 * BODY or trans.shape != (len(poses), 3) or not len(poses):
         raise ValueError(f"{path}: poses {poses.shape} and trans {trans.shape} should be (T, 66 or more) and (T, 3)")
-    gender = str(archive["gender"].item()) if "gender" in archive and archive["gender"].size == 1 else ""
-    model = models.by_gender["male" if gender.strip("b'\"") == "male" else "female"]
+    model = _body(path, archive, models)
     betas = _padded(archive.get("betas", np.zeros(0)), model.shape.shape[2])
     soft = archive.get("dmpls", np.zeros((len(poses), 0))).astype(np.float64)
     size = model.soft.shape[2]
     soft = np.pad(soft, ((0, 0), (0, max(0, size - soft.shape[1]))))[:, :size]
-    for name, values in (("poses", poses), ("trans", trans), ("betas", betas), ("dmpls", soft)):
+    for name, values in (("poses", poses), ("trans", trans), ("betas", betas), ("dmpls", soft), (REST, model.rest)):
         if not np.isfinite(values).all():
             raise ValueError(f"{path} has NaN or infinite {name}")
-    return _posed(model.joints(betas, soft), poses, trans, rate)
+    return _posed(model.joints(betas, soft), poses, trans, rate, _up(path, archive))
+
+
+def _body(path: Path, archive: Mapping[str, np.ndarray], models: BodyModels | None) -> BodyModel:
+    """Take the archive's own joints at rest, or find the body model of its gender."""
+    if REST in archive:
+        return BodyModel(archive[REST].astype(np.float64), np.zeros((BODY, 3, 0)), np.zeros((BODY, 3, 0)))
+    if models is None:
+        raise ValueError(f"{path}: AMASS holds poses of a body model; say where it is (--smplh FOLDER)")
+    gender = str(archive["gender"].item()) if "gender" in archive and archive["gender"].size == 1 else ""
+    return models.by_gender["male" if gender.strip("b'\"") == "male" else "female"]
+
+
+def _up(path: Path, archive: Mapping[str, np.ndarray]) -> str | None:
+    """Read which axis an archive says is up; AMASS' own say nothing."""
+    if UP not in archive:
+        return None
+    said = str(archive[UP].item())
+    if said not in AXES:
+        raise ValueError(f"{path} says {UP}={said!r}; allowed: {', '.join(AXES)}")
+    return said
 
 
 def _padded(values: np.ndarray, size: int) -> Float[np.ndarray, " s"]:
@@ -112,7 +139,11 @@ def _padded(values: np.ndarray, size: int) -> Float[np.ndarray, " s"]:
 
 
 def _posed(
-    joints: Float[np.ndarray, "t 22 3"], poses: Float[np.ndarray, "t p"], trans: Float[np.ndarray, "t 3"], rate: float
+    joints: Float[np.ndarray, "t 22 3"],
+    poses: Float[np.ndarray, "t p"],
+    trans: Float[np.ndarray, "t 3"],
+    rate: float,
+    up: str | None,
 ) -> Capture:
     parents = HUMANML3D.parents
     offsets = joints - joints[:, [max(parent, 0) for parent in parents]]
@@ -122,7 +153,7 @@ def _posed(
     rotations = Rotation.from_rotvec(poses[:, : 3 * BODY].reshape(-1, 3)).as_matrix().reshape(len(poses), BODY, 3, 3)
     smpl = known_mappings()["smpl"].joints
     names = tuple(next(iter(smpl[name])) for name in HUMANML3D.joint_names)
-    return Capture(names, parents, rotations, moved, offsets[0], rate)
+    return Capture(names, parents, rotations, moved, offsets[0], rate, up)
 
 
 def strided(capture: Capture, fps: float) -> Capture:
@@ -136,4 +167,5 @@ def _arrays(path: Path, needed: tuple[str, ...], what: str) -> dict[str, np.ndar
     """Read the arrays of an archive that are asked for."""
     others = (*RATES, "gender", "betas", "dmpls")
     wanted = {name: Wanted() for name in needed} | {name: Wanted(f"{NUMBERS}US", optional=True) for name in others}
+    wanted |= {REST: Wanted(NUMBERS, (BODY, 3), optional=True), UP: Wanted("U", (), optional=True)}
     return read_npz(path, wanted, fix=f"give {what}, as its owners publish it")

@@ -21,6 +21,7 @@ class Capture:
 
     `rotations` (T, J, 3, 3) turn a joint's children, in its parent's frame; `translations` (T, J, 3) lead from the
     parent to the joint, in the parent's frame too. `rest` (J, 3) are the translations of the pose without rotations.
+    `up` is the axis that the file itself says is up, "z" or "-x", ...; None: it says nothing.
     """
 
     names: tuple[str, ...]
@@ -29,6 +30,7 @@ class Capture:
     translations: Float[np.ndarray, "t j 3"]
     rest: Float[np.ndarray, "j 3"]
     fps: float
+    up: str | None = None
 
     @property
     def frames(self) -> int:

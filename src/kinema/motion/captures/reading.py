@@ -72,7 +72,7 @@ def captured_joints(
     Args:
         mapping: which joint is which (None: recognised by the names).
         scale: the skeleton's units per unit of the file (None: the mapping's, or found from the body's height).
-        up: the file's upward axis, "x", "y", "z" or "-x", ... (None: found from the pose).
+        up: the file's upward axis, "x", "y", "z" or "-x", ... (None: the file's, or found from the pose).
         fps: the rate of the capture, where the file is wrong (None: the file's).
     """
     mapping = mapping or find_mapping(capture.names, source)
@@ -87,7 +87,7 @@ def captured_joints(
     rest = weights @ capture.rest_positions
     kept = capture.part(skipped)
     positions = np.einsum("js,tsc->tjc", weights, replace(kept, fps=rate).at(skeleton.fps).positions)
-    found = up or find_up(positions, rest, skeleton, source)
+    found = up or capture.up or find_up(positions, rest, skeleton, source)
     factor = scale or mapping.scale or find_scale(positions, skeleton, source)
     joints = Convention(up=found).apply(positions, skeleton) * factor
     height = body_height(joints, skeleton) * skeleton.meters

@@ -7,6 +7,7 @@ import io
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from kinema.motion.captures.amass import REST, UP
 from kinema.motion.captures.capture import Capture
 
 JOINTS, SHAPES, SOFT = 52, 16, 8
@@ -35,8 +36,8 @@ def amass_bytes(capture: Capture, *, title: str) -> bytes:
         "dmpls": np.zeros((capture.frames, SOFT)),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(capture.fps)),
-        "up_axis": np.array("z"),
-        "rest_joints": capture.rest_positions - capture.rest_positions[0] + PELVIS,
+        UP: np.array("z"),
+        REST: capture.rest_positions - capture.rest_positions[0] + PELVIS,
         "text": np.array(title),
         "about": np.array(ABOUT),
     }

@@ -23,6 +23,11 @@ def blender_python() -> str:
     return os.environ.get(PYTHON) or sys.executable
 
 
+def require_blender() -> None:
+    """Raise ValueError, with the ways to have it, where no Blender writes FBX."""
+    _run_blender()
+
+
 def fbx_bytes(capture: Capture, skeleton: Skeleton, *, title: str) -> bytes:
     """Write a rig in metres, its figure and its animation; raises ValueError where there is no Blender, or it fails."""
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
 """Turn a GLB into FBX inside Blender: a script for an interpreter that has bpy, which the package never imports.
 
 Usage: python fbx_in_blender.py IN.glb OUT.fbx FPS, where a frame of the GLB lasts 1 / `CLOCK`. Exit code `NO_BLENDER`
-says that there is no bpy.
+says that there is no bpy; without words that is all it tells.
 """
 
 import math
@@ -40,4 +40,5 @@ if __name__ == "__main__":
     except ImportError as error:
         print(error, file=sys.stderr)
         sys.exit(NO_BLENDER)
-    convert(sys.argv[1], sys.argv[2], float(sys.argv[3]))
+    if sys.argv[1:]:
+        convert(sys.argv[1], sys.argv[2], float(sys.argv[3]))

@@ -19,6 +19,7 @@ from kinema.motion.view.draw import (
     ACCENT,
     INK,
     MUTED,
+    REACH,
     STAGE,
     Camera,
     draw_grid,
@@ -43,16 +44,13 @@ _VIEW = 1.46  # the film's field of view in statures
 
 def save_mp4(motion: Motion, path: str | Path) -> Path:
     """Write an H.264 film of 480 x 480 pixels at the motion's frame rate; the camera follows the root."""
-    try:
-        import imageio_ffmpeg
-    except ImportError as error:
-        raise ImportError("writing mp4 needs imageio-ffmpeg: pip install 'kinema[viz]'") from error
+    ffmpeg = require_encoder()
     joints, body = finite_metres(motion), body_of(motion)
     way = _smooth(joints[:, 0, [0, 2]], reach=round(motion.fps * 0.4))
     canvas = new_canvas(_PIXELS / 100, _PIXELS / 100, dpi=100)
     axes = canvas.figure.add_axes((0, 0, 1, 1))
     angle = facing(joints[0], body) + _TURN
-    with replacing(path) as temporary, _encoder(imageio_ffmpeg.get_ffmpeg_exe(), motion.fps, temporary, path) as pipe:
+    with replacing(path) as temporary, _encoder(ffmpeg, motion.fps, temporary, path) as pipe:
         for frame in range(len(joints)):
             axes.clear()
             camera = Camera((way[frame, 0], 0.57 * body.stature, way[frame, 1]), angle, _PITCH, 2.7 * body.stature)
@@ -61,6 +59,15 @@ def save_mp4(motion: Motion, path: str | Path) -> Path:
             canvas.draw()
             pipe.write(np.asarray(canvas.buffer_rgba())[..., :3].tobytes())
     return Path(path)
+
+
+def require_encoder() -> str:
+    """Return ffmpeg's path; raises ImportError, with the fix, where there is none."""
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise ImportError("writing mp4 needs imageio-ffmpeg: pip install 'kinema[viz]'") from error
+    return imageio_ffmpeg.get_ffmpeg_exe()
 
 
 @contextmanager
@@ -107,7 +114,8 @@ def save_strip(motion: Motion, path: str | Path, poses: int = 8) -> Path:
     angle = facing(joints[0], body) + _TURN
     cell, low, high = 0.62 * body.stature, -0.2 * body.stature, 1.32 * body.stature
     drawn = [_centred(joints[f], body, angle) for f in frames]
-    reach = [(p.min() - 0.03 * body.stature, p.max() + 0.03 * body.stature) for p, _, _ in drawn]
+    most, skin = REACH * body.stature, 0.03 * body.stature
+    reach = [tuple(np.clip((p.min() - skin, p.max() + skin), -most, most)) for p, _, _ in drawn]
     places = _places(reach, cell)
     left, right = places[0] + min(reach[0][0], -cell / 2), places[-1] + max(reach[-1][1], cell / 2)
     travelled = np.linalg.norm(joints[frames, 0][:, [0, 2]] - joints[0, 0, [0, 2]], axis=1)
