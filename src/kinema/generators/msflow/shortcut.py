@@ -28,7 +28,6 @@ from kinema.registry import buildable
 from kinema.types import Latents, LatentSpace, Losses, TextFeatures, frame_mask
 
 MOST_STEPS = Literal[2, 4, 8, 16, 32]
-FEW_STEPS = Literal[1, 2, 4, 8, 16, 32]
 
 
 @buildable
@@ -39,7 +38,7 @@ class ShortcutSampling(Options):
     An edit is held as `FrameSampling` says.
     """
 
-    steps: FEW_STEPS = 4
+    steps: Steps = 4
     holding: Holding = "path"
     renewal: Share | None = None
 
@@ -114,7 +113,7 @@ class Shortcut(LatentModel):
         self.level = nn.Embedding(finest.bit_length(), denoiser.width)
         nn.init.zeros_(self.level.weight)
         self._teacher: tuple[SequenceDiffusion, ...] = ()  # a tuple: no submodule, so neither saved nor trained here
-        self.sampling = sampling or ShortcutSampling(steps=cast(FEW_STEPS, min(4, finest)))
+        self.sampling = sampling or ShortcutSampling(steps=min(4, finest))
         self.check_sampling(self.sampling)
 
     @property
@@ -268,12 +267,13 @@ class Shortcut(LatentModel):
         sampling: ShortcutSampling,
     ) -> Float[Tensor, "b n c"]:
         """Take noise to motion in a few steps; what is `known` (values, mask) is held on the way."""
+        times = nested(self.times, sampling.steps)
         level = torch.tensor([(self.finest // sampling.steps).bit_length() - 1], device=self.level.weight.device)
         return self.process.sample(
             self.predictor(text, level, shown),
             noise,
             solver="euler",
-            times=nested(self.times, sampling.steps),
+            times=times,
             known=known,
             holding=sampling.holding,
             renewal=sampling.renewal,
