@@ -362,3 +362,15 @@ def test_held_feet_leave_root_arms_and_padding_and_are_told_in_full_rows_too(wid
     if width == 263:
         again = lift(found.features[0, :30, :67].numpy(), HUMANML3D)
         np.testing.assert_array_equal(found.features[0, :30].numpy(), again)
+
+
+def test_generated_motion_is_timed_apart_from_what_is_measured(make, monkeypatch):
+    clock = iter((0.0, 4.0, 10.0, 12.0))
+    monkeypatch.setattr("kinema.evaluation.stopwatch.time.perf_counter", lambda: next(clock))
+    source = Generated(model(), sampling=2.0)
+    for size in (8, 4):
+        source(make.batch(size=size), seeds(size))
+    assert FeetLocked(source, HUMANML3D).seconds() == pytest.approx(6 / 12)
+    assert source.seconds() is None
+    assert "seconds" not in " ".join(source.measured())
+    assert RealMotion().seconds() is None

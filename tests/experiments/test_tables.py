@@ -256,6 +256,41 @@ def test_work_is_ordered_upstream_first(table, micro_tables, tmp_path):
     ]
 
 
+def test_what_motion_costs_is_told_where_a_table_asks(complete, table, micro_tables, tmp_path):
+    asked = ("generator_parameters_m", "tokenizer_parameters_m", "generator_trained_k", "tokenizer_trained_k")
+    columns = [{"key": key, "digits": 6} for key in (*asked, "seconds_per_motion")]
+    described = {**table, "beside": columns}
+    shown = json.loads(rendered(described, micro_tables, tmp_path)["table.json"])
+    results = {row["key"]: row["results"] for row in shown["rows"]}
+    (place,) = [row.place for row in plan(table, micro_tables) if row.spec["key"] == "mardm_sit"]
+    generator = json.loads((place.subject["generator"] / "status.json").read_text())
+    for told, line in zip(results["mardm_sit"], place.lines, strict=True):
+        assert told["generator_parameters_m"] == generator["parameters"] / 1e6
+        assert told["generator_trained_k"] == 24 * 32 / 1e3  # steps and batch of the micro scale
+        assert told["tokenizer_trained_k"] > 0
+        assert told["seconds_per_motion"] == line["seconds_per_motion"] > 0
+        assert line["metrics"].keys() <= told.keys()
+    assert "generator_parameters_m" not in results["ae"][0]
+    assert not {*results["real"][0]} & {*asked, "seconds_per_motion"}
+    plain = json.loads(rendered(table, micro_tables, tmp_path / "plain")["table.json"])
+    assert not any(asked[0] in line for row in plain["rows"] for line in row["results"] or ())
+
+
+def test_an_oracle_stands_where_the_corpus_has_labels(micro_tables, tmp_path):
+    def oracles(overrides):
+        rows = plan({"rows": [row for row in load_table("frontier")["rows"] if "oracle" in row["key"]]}, overrides)
+        return [row.place.folder.path.name.split("-")[0] for row in rows]
+
+    assert oracles(micro_tables) == ["oracle_action", "oracle_style"]
+    folder = write_joints_folder(synthetic_clips(size=40, seed=2), tmp_path / "corpus")
+    (folder / "manifest.json").unlink()
+    others = [o for o in micro_tables if not o.startswith(("data", "paths.stores"))]
+    others += ["data=open_mocap", f"data.source={folder}", f"paths.stores={tmp_path}"]
+    assert oracles(others) == []
+    with pytest.raises(ValueError, match=r"doesn't say which actions its clips show.*leave out what reads it"):
+        run_evaluation(compose([*others, "source=oracle", f"paths.runs={tmp_path}"], "evaluate"))
+
+
 def test_a_row_borrows_metrics_replication_by_replication():
     """MARDM Table 1 has reconstruction and generation in one row."""
     borrow = {"row": "recon", "metrics": {"recon_fid": "fid", "dead": "dead_codes"}}

@@ -137,9 +137,7 @@ def test_unusable_texts_are_named(texts, message):
 
 
 def test_unknown_names_and_superfluous_paths_are_refused(tmp_path):
-    with pytest.raises(
-        ValueError, match="clip_b32, clip_b32_77, clip_l14, distilbert, t5_small, t5_base, t5_large, minilm, hashed"
-    ):
+    with pytest.raises(ValueError, match=r"clip_b32, clip_b32_77, clip_l14, distilbert, t5_small, .*, minilm, hashed"):
         build_text_encoder("clip")
     with pytest.raises(ValueError, match=r"remove text\.path"):
         build_text_encoder("hashed", tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -170,7 +171,9 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     panel = PANELS[some.data.skeleton]
     published = table["paper"].get(panel, {})
     groups = grouped(rows)
-    results = with_borrowed([group[0] for group in groups.values()], {key: _results(g) for key, g in groups.items()})
+    asked = {column["key"] for column in (*table["columns"], *table.get("beside", []))}
+    found = {key: _results(group, asked) for key, group in groups.items()}
+    results = with_borrowed([group[0] for group in groups.values()], found)
     shown = {key: group for key, group in groups.items() if group[0].spec.get("shown", True)}
     filled = {**table, "rows": [_filled(group, published, results[key]) for key, group in shown.items()]}
     filled.pop("paper")
@@ -253,7 +256,7 @@ def _agreed(values: dict[str, Any]) -> Any:
     return groups[0][0] if len(groups) == 1 else {"; ".join(labels): value for value, labels in groups}
 
 
-def _results(group: Group) -> list[dict[str, Any]] | None:
+def _results(group: Group, asked: Collection[str]) -> list[dict[str, Any]] | None:
     """Return the metrics by replication, or of several training seeds the means by seed.
 
     It is an empty list where one is missing, None where the method isn't in Kinema.
@@ -263,16 +266,20 @@ def _results(group: Group) -> list[dict[str, Any]] | None:
     if not all(row.complete for row in group):
         return []
     renamed = group[0].spec.get("metrics")
-    found = over_seeds([_lines(row) for row in group])
+    found = over_seeds([_lines(row, asked) for row in group])
     return [{key: m[name] for key, name in renamed.items()} for m in found] if renamed else found
 
 
-def _lines(row: TableRow) -> list[dict[str, Any]]:
-    """Return a row's metrics by replication, each with what was timed and what its runs cost."""
+def _lines(row: TableRow, asked: Collection[str]) -> list[dict[str, Any]]:
+    """Return a row's metrics by replication, and of what was timed and what its runs cost that which is asked for."""
     if row.place is None:
         return []
     cost = spent(row.place)
-    return [{**line["metrics"], **({EACH: line[EACH]} if EACH in line else {}), **cost} for line in row.lines]
+    beside = [{**cost, **({EACH: line[EACH]} if EACH in line else {})} for line in row.lines]
+    return [
+        {**line["metrics"], **{key: value for key, value in more.items() if key in asked}}
+        for line, more in zip(row.lines, beside, strict=True)
+    ]
 
 
 def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:

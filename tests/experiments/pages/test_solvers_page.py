@@ -113,14 +113,14 @@ def test_a_point_is_a_solver_on_a_grid_or_guidance_in_an_interval():
     }
 
 
-POINTS = ("default", "euler-2", "euler-1", "heun-1", "euler-2-emergence")
+POINTS = ("default", "euler-3", "euler-2", "euler-1", "heun-1", "euler-3-emergence")
 
 
 def test_points_are_scored_once_and_drawn(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     small = load_page("solvers")
     small["methods"] = [spec for spec in small["methods"] if spec["key"] == "mardm_sit"]
-    small["solvers"] = {"flow": {"euler": [2, 1], "heun": [1], "euler emergence": [2]}}
+    small["solvers"] = {"flow": {"euler": [3, 2, 1], "heun": [1], "euler emergence": [3]}}
     monkeypatch.setattr(pages, "load_page", lambda name: small)
     for _ in range(2):
         reproduce("solvers", micro, jobs=1, out=tmp_path / "page")
@@ -130,8 +130,8 @@ def test_points_are_scored_once_and_drawn(micro, tmp_path, monkeypatch, capsys):
     assert set(rows) == {"real", *(f"mardm_sit-{p}" for p in POINTS)}
     costs = {key: float(row["rows"]) for key, row in rows.items() if key != "real"}
     assert costs["mardm_sit-euler-2"] == pytest.approx(2 * costs["mardm_sit-euler-1"])
-    assert costs["mardm_sit-euler-2-emergence"] == pytest.approx(costs["mardm_sit-euler-2"])
-    assert rows["mardm_sit-euler-2-emergence"]["fid"] != rows["mardm_sit-euler-2"]["fid"]
+    assert costs["mardm_sit-euler-3-emergence"] == pytest.approx(costs["mardm_sit-euler-3"])
+    assert rows["mardm_sit-euler-3-emergence"]["fid"] != rows["mardm_sit-euler-3"]["fid"]
     assert costs["mardm_sit-heun-1"] == pytest.approx(costs["mardm_sit-euler-2"])
     assert sum(row["fast"] == "fast" for row in rows.values()) == 1
     assert (tmp_path / "page/solvers.png").read_bytes().startswith(b"\x89PNG")

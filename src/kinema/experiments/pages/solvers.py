@@ -20,22 +20,8 @@ if TYPE_CHECKING:
 DEFAULT = "default"
 QUALITIES = {"fid": "FID", "r3": "R@3"}
 COUNTS = {"denoiser_rows": "rows", "denoiser_calls": "calls", "transformer_rows": "transformer rows"}
-SHOWN = (
-    "method",
-    "solver",
-    "steps",
-    "grid",
-    "guided",
-    "rows",
-    "calls",
-    "transformer rows",
-    "fid",
-    "fid ±",
-    "r3",
-    "r3 ±",
-    "n",
-    "fast",
-)
+CHOSEN = ("solver", "steps", "grid", "guided")
+SHOWN = ("method", *CHOSEN, "rows", "calls", "transformer rows", "fid", "fid ±", "r3", "r3 ±", "n", "fast")
 
 
 @dataclass(frozen=True)
@@ -98,7 +84,7 @@ def points(page: dict[str, Any]) -> Iterator[dict[str, Any]]:
                 "label": " ".join((spec["label"], *chosen.words)),
             }
             row |= {"of": spec["label"], "source": "generation", "method": spec["method"]}
-            row |= {"solver": chosen.solver, "steps": chosen.steps, "grid": chosen.grid, "guided": chosen.guided}
+            row |= {name: getattr(chosen, name) for name in CHOSEN}
             yield row | {"overrides": [*spec.get("overrides", []), *chosen.overrides]}
 
 
@@ -113,7 +99,7 @@ def results(row: TableRow) -> dict[str, Any]:
     """Return one point: what it costs and how good it is."""
     spec, lines = row.spec, [line["metrics"] for line in row.lines]
     found = {"key": spec["key"], "method": spec["of"], "solver": spec.get("solver", DEFAULT)}
-    found |= {"steps": spec.get("steps"), "grid": spec.get("grid"), "guided": spec.get("guided"), "n": len(lines)}
+    found |= {name: spec.get(name) for name in CHOSEN[1:]} | {"n": len(lines)}
     for name, shown in COUNTS.items():
         counted = [metrics[name] for metrics in lines if name in metrics]
         found[shown] = sum(counted) / len(counted) if counted else None
