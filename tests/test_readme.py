@@ -42,7 +42,7 @@ METHODS = (
     "mld",
     "remodiffuse",
 )
-GROUPS = "method|tokenizer|generator|residual|diffusion|evaluator|representation|text|data"
+GROUPS = "method|tokenizer|generator|residual|shortcut|diffusion|evaluator|representation|text|data"
 GROUPS += "|scale|trainer|logger|launcher|debug"
 OVERRIDE = rf"\+?({GROUPS}|[a-z]+(\.\w+)+)=[\w.]+"
 
