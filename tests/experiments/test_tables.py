@@ -288,7 +288,9 @@ def test_an_oracle_stands_where_the_corpus_has_labels(micro_tables, tmp_path):
     others += ["data=open_mocap", f"data.source={folder}", f"paths.stores={tmp_path}"]
     assert oracles(others) == []
     with pytest.raises(ValueError, match=r"doesn't say which actions its clips show.*leave out what reads it"):
-        run_evaluation(compose([*others, "source=oracle", f"paths.runs={tmp_path}"], "evaluate"))
+        run_evaluation(
+            compose([*others, "scale.protocol.pool=4", "source=oracle", f"paths.runs={tmp_path}"], "evaluate")
+        )
 
 
 def test_a_row_borrows_metrics_replication_by_replication():
