@@ -20,6 +20,7 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
 from kinema.experiments.stages import get_stage
+from kinema.motion.representation import Representation
 from kinema.runs import weights
 from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
@@ -172,7 +173,7 @@ def test_a_tokenizer_takes_double_numbers(overrides, method):
     spec = training.plain(compose([*overrides, f"method={method}"]).tokenizer.model)
     tokenizer = build(spec).eval()
     for part in tokenizer.modules():
-        if isinstance(part, training.Representation):
+        if isinstance(part, Representation):
             part.mean.zero_()
             part.std.fill_(1)
     features = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 24, 263)))
