@@ -98,7 +98,7 @@ def test_an_untrained_shortcut_samples_as_the_generator_without_guidance():
 # What it learns
 
 
-def expected(model: Shortcut, first: int, last: int) -> torch.Tensor:
+def expected(model: Shortcut, first: int, last: int, taught: bool) -> torch.Tensor:
     """Return the clean motion that a step over [first, last] of the grid should aim at, sample by sample, by hand."""
     batch, noise = latents(), draws([True] * 3, 0.0, [0.0] * 3).noise[:, :12]
     found = torch.zeros_like(batch.values)
@@ -107,21 +107,22 @@ def expected(model: Shortcut, first: int, last: int) -> torch.Tensor:
         start, end = model.times[first], model.times[last]
         x = start * x1 + (1 - start) * 5.0 * noise[i : i + 1, :length]
         here = x
-        for t, then, level in ways(model, first, last):
+        for t, then, level in ways(model, first, last, taught):
             clean = predicted(model, here, words, t, level)
             here = here + (then - t) / (1 - t) * (clean - here)
         found[i, :length] = (x + (here - x) * (1 - start) / (end - start))[0]
     return found
 
 
-def ways(model: Shortcut, first: int, last: int) -> list[tuple[float, float, int | None]]:
-    """List the small steps: the teacher's two halves (level None), or two of the level above."""
-    start, end = model.times[first], model.times[last]
-    if last - first == 1:
-        middle, level = (start + end) / 2, None
-    else:
-        middle, level = model.times[(first + last) // 2], (last - first).bit_length() - 2
-    return [(start, middle, level), (middle, end, level)]
+def ways(model: Shortcut, first: int, last: int, taught: bool) -> list[tuple[float, float, int | None]]:
+    """List the small steps: two of the teacher's in each of the finest (level None), or two of the level above."""
+    if taught:
+        ends = [
+            (model.times[i], (model.times[i] + model.times[i + 1]) / 2, model.times[i + 1]) for i in range(first, last)
+        ]
+        return [pair for a, b, c in ends for pair in ((a, b, None), (b, c, None))]
+    middle, level = model.times[(first + last) // 2], (last - first).bit_length() - 2
+    return [(model.times[first], middle, level), (middle, model.times[last], level)]
 
 
 def predicted(model: Shortcut, x: torch.Tensor, words: TextFeatures, t: float, level: int | None) -> torch.Tensor:
@@ -135,16 +136,16 @@ def predicted(model: Shortcut, x: torch.Tensor, words: TextFeatures, t: float, l
 
 @pytest.mark.parametrize(
     ("level", "interval", "first", "last"),
-    [(None, 0.0, 0, 1), (None, 0.99, 7, 8), (0.1, 0.3, 2, 4), (0.1, 0.99, 6, 8), (0.5, 0.6, 4, 8), (0.9, 0.4, 0, 8)],
+    [(0, 0.0, 0, 1), (0, 0.99, 7, 8), (1, 0.3, 2, 4), (1, 0.99, 6, 8), (2, 0.6, 4, 8), (3, 0.4, 0, 8)],
 )
-def test_targets_are_the_teachers_way_and_two_steps_of_the_next_finer_level(level, interval, first, last):
+@pytest.mark.parametrize("taught", [True, False])
+def test_targets_are_the_teachers_way_or_two_steps_of_the_next_finer_level(level, interval, first, last, taught):
     model = make(guidance=2.5)
-    drawn = draws([level is None] * 3, level or 0.0, [interval] * 3).crop(slice(None), 12)
+    drawn = draws([taught] * 3, level / 4 + 0.1, [interval] * 3).crop(slice(None), 12)
     start = torch.tensor(model.times[first]).expand(3)
     x = model.process.add_noise(latents().values, start, drawn.noise)
-    mine = {None: 0, 0.1: 1, 0.5: 2, 0.9: 3}[level]
-    clean = model.predictor(text(), torch.full((3,), mine), latents().mask)(x, start)
-    errors = (clean - expected(model, first, last)).square().mean(dim=2)
+    clean = model.predictor(text(), torch.full((3,), level), latents().mask)(x, start)
+    errors = (clean - expected(model, first, last, taught or level == 0)).square().mean(dim=2)
     alone = torch.stack([errors[i, :n].mean() for i, n in enumerate(LENGTHS.tolist())])
     loss = model.loss(latents(), text(), draws=drawn)["loss"]
     torch.testing.assert_close(loss, alone.mean(), rtol=1e-3, atol=1e-5)
@@ -177,7 +178,8 @@ def test_all_levels_and_intervals_are_drawn():
         (4000, 1, 1), teacher_share=0.25, generator=torch.Generator().manual_seed(0), device=torch.device("cpu")
     )
     level, first, last = make(finest=4)._intervals(drawn)
-    assert (level == 0).float().mean() == pytest.approx(0.25, abs=0.03)
+    assert drawn.taught.float().mean() == pytest.approx(0.25, abs=0.03)
+    assert (level == 0).float().mean() == pytest.approx(1 / 3, abs=0.03)
     found = set(zip(level.tolist(), first.tolist(), last.tolist(), strict=True))
     assert found == {(0, 0, 1), (0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 0, 2), (1, 2, 4), (2, 0, 4)}
 
@@ -228,7 +230,10 @@ def test_it_learns_to_be_the_guided_teacher_in_fewer_steps():
 
     before, optimizer = error(), torch.optim.Adam(model.parameters(), lr=3e-3)
     batch = Latents(torch.tensor([6, 6, 6]), torch.tensor([6, 6, 6]), values=goal.expand(3, -1, -1))
-    drawn = replace(draws([True, True, False], 0.0, [0.0, 0.9, 0.0]), noise=(noise / 5.0).expand(3, -1, -1))
+    levels = torch.tensor([0.0, 0.0, 0.9])
+    drawn = replace(
+        draws([True, True, False], 0.0, [0.0, 0.9, 0.0]), level=levels, noise=(noise / 5.0).expand(3, -1, -1)
+    )
     for _ in range(150):
         optimizer.zero_grad()
         model.loss(batch, text([0, 0, 0]), draws=drawn)["loss"].backward()

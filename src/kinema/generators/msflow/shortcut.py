@@ -45,7 +45,7 @@ class ShortcutSampling(Options):
 
 @dataclass
 class ShortcutDraws(StepDraws):
-    """Hold what a step draws: whom the teacher teaches, which level the others learn, an interval each, and noise."""
+    """Hold what a step draws: whom the teacher teaches, the level that each learns, an interval each, and noise."""
 
     taught: Bool[Tensor, " b"]
     level: Float[Tensor, " b"]
@@ -73,8 +73,9 @@ class Shortcut(LatentModel):
 
     A copy of a trained MSFlow with one more input, the level: how many steps the whole way has, `finest` or a half, a
     quarter, ... of it, down to one. A level's times are every second one of the next finer level's, so that a step is
-    two of its. At the finest level (`teacher_share` of the samples) it learns where the frozen teacher gets under
-    `guidance` by `substeps` of its `solver`; at the others, where two of its own steps of the next finer level get.
+    two of its. A step learns where the frozen teacher gets under `guidance`, by `substeps` of its `solver` in each of
+    the finest steps that it spans. With a `teacher_share` below 1 the others learn, but for the finest level, where two
+    of the network's own steps of the next finer level get, as published: cheaper, but it may chase itself and diverge.
 
     The loss is the squared error of the clean motion, unweighted. Of a step from signal over noise r to r', an error e
     moves what the state says of the motion, x / t, by (1 - r / r') e: by as much on every interval of the grid
@@ -89,7 +90,7 @@ class Shortcut(LatentModel):
         finest: MOST_STEPS = 8,
         grid: SolverGrid = "emergence",
         guidance: NonNegative = 3.0,
-        teacher_share: Share = 0.5,
+        teacher_share: Share = 1.0,
         substeps: Steps = 2,
         solver: Annotated[str, OneOf(SOLVERS)] = "euler",
         sampling: ShortcutSampling | None = None,
@@ -204,7 +205,7 @@ class Shortcut(LatentModel):
         level, first, last = self._intervals(draws)
         start, end = (x1.new_tensor(self.times)[place] for place in (first, last))
         x = self.process.add_noise(x1, start, draws.noise)
-        reached = self.reached(x, text, level, first, last, real)
+        reached = self.reached(x, text, level, first, last, draws.taught, real)
         errors = (self.predictor(text, level, real)(x, start) - aimed(x, reached, start, end)).square()
         return {"loss": mean_over_ranks(per_sequence(errors, real), shard[1])}
 
@@ -216,16 +217,20 @@ class Shortcut(LatentModel):
         level: Int[Tensor, " b"],
         first: Int[Tensor, " b"],
         last: Int[Tensor, " b"],
+        taught: Bool[Tensor, " b"],
         real: Bool[Tensor, "b n"],
     ) -> Float[Tensor, "b n c"]:
         """Say where steps between times of the grid ought to end: on the teacher's way, or after two steps."""
-        times, found, finest = x.new_tensor(self.times), torch.empty_like(x), level == 0
-        if finest.any():
-            predict = self.taught(some(text, finest), real[finest])
-            start, end = times[first[finest]], times[last[finest]]
-            found[finest] = followed(predict, x[finest], start, end, substeps=self.substeps, solver=self.solver)
-        if not finest.all():
-            halved = ~finest
+        times, found, own = x.new_tensor(self.times), x, taught | (level == 0)
+        for k in range(int((last - first)[own].max()) if own.any() else 0):
+            on = own & (first + k < last)
+            predict = self.taught(some(text, on), real[on])
+            start, end = times[first[on] + k], times[first[on] + k + 1]
+            reached = followed(predict, found[on], start, end, substeps=self.substeps, solver=self.solver)
+            found = found.masked_scatter(on[:, None, None].expand_as(found), reached)
+        if not own.all():
+            halved = ~own
+            found = found.clone()
             predict = self.predictor(some(text, halved), level[halved] - 1, real[halved])
             middle = (first + last)[halved] // 2
             half = followed(predict, x[halved], times[first[halved]], times[middle])
@@ -234,8 +239,8 @@ class Shortcut(LatentModel):
 
     def _intervals(self, draws: ShortcutDraws) -> tuple[Int[Tensor, " b"], Int[Tensor, " b"], Int[Tensor, " b"]]:
         """Return each sample's level (0: the finest) and where on the finest grid its step starts and ends."""
-        coarser = self.level.num_embeddings - 1
-        level = torch.where(draws.taught, 0, 1 + (draws.level * coarser).long().clamp(max=coarser - 1))
+        levels = self.level.num_embeddings
+        level = (draws.level * levels).long().clamp(max=levels - 1)
         size = 2**level
         steps = self.finest // size
         first = (draws.interval * steps).long().clamp(max=steps - 1) * size
