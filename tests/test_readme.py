@@ -41,6 +41,10 @@ METHODS = (
     "mdm",
     "mld",
     "remodiffuse",
+    "msflow",
+    "msflow_67",
+    "mardm_words",
+    "acmdm",
 )
 GROUPS = "method|tokenizer|generator|residual|shortcut|diffusion|evaluator|representation|text|data"
 GROUPS += "|scale|trainer|logger|launcher|debug"

@@ -438,7 +438,7 @@ REMODIFFUSE = {
 # FRONTIER §2.5, §3
 LATENT_FLOW = under("generator.model", width=256, feedforward=512, layers=4, heads=2, unit=4)
 SHORTCUT = {
-    **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=0.5, substeps=2, solver="euler"),
+    **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2, solver="euler"),
     **under("shortcut.train", epochs=50, warmup=500, decay="cosine", ema=0.999),
     "shortcut.sampling.steps": 4,
 }

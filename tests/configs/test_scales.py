@@ -34,6 +34,7 @@ PARTS = [
     )  # nothing to build, nothing to shrink; FSQ needs memory to be built
 ]
 METHOD_OF = {"msflow": "msflow_67_few", "rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
+METHOD_OF |= {"latent_flow": "latent_flow", "mar_words": "mardm_words"}
 METHOD_OF |= {"joint_ae": "acmdm", "acmdm": "acmdm", "acmdm_xl": "acmdm", "acmdm_raw": "acmdm_raw"}
 METHOD_OF |= {"vae": "mld"} | {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse", "mld")}
 
