@@ -151,8 +151,8 @@ SIZES = {
     "msflow_263": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW),
     "msflow_67": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "msflow": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 66) * (2 * 512 + 1)),
-    "latent_flow": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 9_465_984),
-    "latent_flow_few": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 9_465_984),
+    "latent_flow": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, MSFLOW + (512 - 263) * (2 * 512 + 1)),
+    "latent_flow_few": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, MSFLOW + (512 - 263) * (2 * 512 + 1)),
     "msflow_67_few": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "mardm_words": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648 + WORDS),
     "acmdm": ({"humanml3d": 16_289_799, "kit_ml": 16_289_799}, 39_055_960),
@@ -436,7 +436,7 @@ REMODIFFUSE = {
     "method.lengths": "real",
 }
 # FRONTIER §2.5, §3
-LATENT_FLOW = under("generator.model", width=256, feedforward=512, layers=4, heads=2, unit=4)
+LATENT_FLOW = under("generator.model", unit=4)
 SHORTCUT = {
     **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2, solver="euler"),
     **under("shortcut.train", epochs=50, warmup=500, decay="cosine", ema=0.999),
