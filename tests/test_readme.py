@@ -43,6 +43,7 @@ METHODS = (
     "remodiffuse",
     "msflow",
     "msflow_67",
+    "msflow_67_few",
     "mardm_words",
     "acmdm",
 )
