@@ -47,6 +47,18 @@ class Modulation(nn.Module):
             nn.init.zeros_(self.read.bias)
 
 
+def initialize(module: nn.Module) -> None:
+    """Draw Linear weights Xavier-uniform, biases 0; what modulates and what reads a context starts closed."""
+    for part in module.modules():
+        if isinstance(part, nn.Linear):
+            nn.init.xavier_uniform_(part.weight)
+            if part.bias is not None:
+                nn.init.zeros_(part.bias)
+    for part in module.modules():
+        if isinstance(part, Modulation | CrossAttention):
+            part.close()
+
+
 class Stream(nn.Module):
     """One stream's part of a block: modulated RMSNorms, gated attention and a gated SwiGLU."""
 
@@ -100,11 +112,6 @@ class JointBlock(nn.Module):
         self.motion = Stream(width, heads, hidden, shared)
         self.text = Context(width, heads, shared) if last else Stream(width, heads, hidden, shared)
 
-    def close(self) -> None:
-        """Make the block the identity, as it starts."""
-        self.motion.modulation.close()
-        self.text.modulation.close()
-
     def forward(
         self,
         motion: Float[Tensor, "m w"],
@@ -139,12 +146,6 @@ class CrossBlock(nn.Module):
         super().__init__()
         self.stream = Stream(width, heads, hidden, shared)
         self.cross = CrossAttention(width, heads) if cross else None
-
-    def close(self) -> None:
-        """Make the block the identity, as it starts."""
-        self.stream.modulation.close()
-        if self.cross is not None:
-            self.cross.close()
 
     def forward(
         self,

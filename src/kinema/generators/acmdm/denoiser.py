@@ -13,7 +13,7 @@ from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.modulation import modulate
 from kinema.nn.rows import Rows
-from kinema.nn.streams import CrossBlock, Modulation
+from kinema.nn.streams import CrossBlock, Modulation, initialize
 from kinema.types import TextFeatures
 
 FREQUENCIES = 256
@@ -60,17 +60,10 @@ class AcmdmDenoiser(Denoiser):
 
     def reset_parameters(self) -> None:
         """Initialise: Xavier-uniform Linears, N(0, .02) time and text, zero modulations and output."""
-        for module in self.modules():
-            if isinstance(module, nn.Linear):
-                nn.init.xavier_uniform_(module.weight)
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        initialize(self)
         for module in (*self.time, self.text_projection):
             if isinstance(module, nn.Linear):
                 nn.init.normal_(module.weight, std=0.02)
-        for module in self.modules():
-            if isinstance(module, Modulation):
-                module.close()
         nn.init.zeros_(self.motion_out.weight)
 
     def read(self, text: TextFeatures) -> Read:

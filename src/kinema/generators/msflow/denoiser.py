@@ -12,7 +12,7 @@ from kinema.generators.msflow.masks import MASKS, sees
 from kinema.generators.msflow.refiner import Refiner, masked_mean
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.rows import Rows
-from kinema.nn.streams import CrossBlock, JointBlock
+from kinema.nn.streams import CrossBlock, JointBlock, initialize
 from kinema.nn.words import Words
 from kinema.types import TextFeatures
 
@@ -71,18 +71,11 @@ class MsflowDenoiser(Denoiser):
 
     def reset_parameters(self) -> None:
         """Initialise: Xavier-uniform Linears, N(0, .02) time and null tokens, zero modulations, gates and output."""
-        for module in self.modules():
-            if isinstance(module, nn.Linear):
-                nn.init.xavier_uniform_(module.weight)
-                if module.bias is not None:
-                    nn.init.zeros_(module.bias)
+        initialize(self)
         for layer in self.time:
             if isinstance(layer, nn.Linear):
                 nn.init.normal_(layer.weight, std=0.02)
         self.words.reset_parameters()
-        for block in self.blocks:
-            if isinstance(block, JointBlock | CrossBlock):
-                block.close()
         if self.refiner is not None:
             self.refiner.reset_parameters()
         for last in (self.motion_out, self.modulation):
