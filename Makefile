@@ -90,7 +90,9 @@ reproduce-bad-figure2: $(STAMP)  ## draw Figure 2 of the BAD paper from the mask
 reproduce-%-kit: $(STAMP)
 	$(KINEMA) reproduce $* data=$(KIT) scale=$(SCALE) launcher=$(LAUNCHER) $(FLAGS) $(ARGS) --out reports/$*-kit
 
-reproduce-all: $(TABLES:%=reproduce-%) $(PAGES:%=reproduce-%) reproduce-bad-figure2 $(if $(KIT),$(PANELS:%=reproduce-%-kit))  ## reproduce every table, figure and page, and the panels of KIT-ML beside them
+reproduce-all: $(STAMP)  ## reproduce every table, figure and page, and the panels of KIT-ML beside them
+	$(KINEMA) reproduce $(TABLES) $(PAGES) data=$(DATA) scale=$(SCALE) launcher=$(LAUNCHER) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(PLAN),--plan) $(ARGS)
+	$(MAKE) reproduce-bad-figure2 $(if $(KIT),$(PANELS:%=reproduce-%-kit))
 	$(KINEMA) site
 
 site: $(STAMP)  ## write reports/index.html, a site over all that lies under reports/

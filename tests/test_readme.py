@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import re
 import shlex
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from kinema import cli
 from kinema.atomic import write_json
@@ -156,13 +158,21 @@ def test_overrides_that_the_text_names_compose():
 
 
 def composes_for_some(override):
-    for choice in (*(f"method={method}" for method in METHODS), "data=open_mocap"):
+    key = override.lstrip("+").partition("=")[0]
+    choices = [choice for choice, cfg in composed_choices().items() if OmegaConf.select(cfg, key) is not None]
+    for choice in choices or composed_choices():
         try:
             compose([choice, override], "evaluate")
         except ValueError:
             continue
         return True
     return False
+
+
+@functools.cache
+def composed_choices():
+    choices = (*(f"method={method}" for method in METHODS), "data=open_mocap")
+    return {choice: compose([choice], "evaluate") for choice in choices}
 
 
 RUN = "mardm_sit-xl-essential-synthetic-smoke-s0-0"

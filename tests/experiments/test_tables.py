@@ -15,7 +15,7 @@ from kinema.experiments import evaluation, reproduce, tables
 from kinema.experiments.benchmark import benchmark_columns, sections
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
-from kinema.experiments.jobs import JobsFailedError, missing_jobs
+from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
 from kinema.report.cells import grid
@@ -202,6 +202,41 @@ def test_reproducing_runs_what_is_missing_and_renders(gap, table, micro_tables, 
     assert "replication 1:" in said
     assert "replication 0:" not in said
     assert len(path.read_text().splitlines()) == 2
+
+
+def test_several_tables_share_their_jobs_and_pages_take_no_options_of_tables(
+    table, micro_tables, tmp_path, monkeypatch
+):
+    calls: list[list[Job]] = []
+    made: list[tuple[str, dict]] = []
+    rows = {row["key"]: row for row in table["rows"]}
+    small = {name: {**table, "rows": [rows["real"], rows[name]]} for name in ("mardm_sit", "mardm_ddpm")}
+    monkeypatch.setattr(reproduce, "load_table", lambda name: dict(small[name.replace("-", "_")]))
+    monkeypatch.setattr(reproduce, "run_jobs", lambda jobs, count: calls.append(jobs))
+    monkeypatch.setattr(reproduce, "reproduce", lambda name, overrides, **options: made.append((name, options)))
+    overrides, names = [*micro_tables, f"paths.runs={tmp_path}/runs"], ["mardm-sit", "mardm-ddpm"]
+    with pytest.raises(ValueError, match="--out is the folder of one report"):
+        reproduce.reproduce_all(names, overrides, out=tmp_path)
+    reproduce.reproduce_all([*names, "noise"], overrides, seeds=2)
+    (jobs,) = calls
+    alone = [missing_jobs(plan(one, overrides, 2), overrides) for one in small.values()]
+    assert {job.makes for job in jobs} == {job.makes for part in alone for job in part}
+    assert len(jobs) == len({job.makes for job in jobs}) < sum(map(len, alone))
+    assert made == [(name, {"seeds": 2}) for name in names] + [("noise", {})]
+
+
+def test_a_table_that_fails_keeps_no_other_from_being_made(monkeypatch):
+    made: list[str] = []
+
+    def fail(name: str, overrides: list[str], **options: bool) -> None:
+        made.append(name)
+        if name == "table5":
+            raise JobsFailedError({Job("train", (), Path("a")): ValueError("no")}, [])
+
+    monkeypatch.setattr(reproduce, "reproduce", fail)
+    with pytest.raises(JobsFailedError):
+        reproduce.reproduce_all(["table5", "noise"], [], render_only=True)
+    assert made == ["table5", "noise"]
 
 
 @pytest.mark.slow

@@ -144,6 +144,27 @@ def test_some_texts_of_a_batch_are_dropped():
         torch.testing.assert_close(out[1:], predict(model, x, words)[1:])
 
 
+def test_more_draws_for_a_motion_are_as_many_motions():
+    one, many = make(), make(batch_multiplier=3).train()
+    x1, words = torch.randn(2, FRAMES, 6), text([3, 5])
+    lengths = torch.tensor([FRAMES, 7])
+    drawn = many._draw(x1.repeat_interleave(3, dim=0), torch.Generator().manual_seed(2), (0, 1))
+    assert len(drawn.time.unique()) == 6
+    found = many.loss(Latents(lengths=lengths, frames=lengths, values=x1), words, draws=drawn)["loss"]
+    rows = [
+        one.loss(
+            Latents(lengths=lengths[i : i + 1], frames=lengths[i : i + 1], values=x1[i : i + 1]),
+            TextFeatures(["a"], words.pooled[i : i + 1], words.tokens[i : i + 1], words.token_mask[i : i + 1]),
+            draws=drawn.crop(slice(3 * i + k, 3 * i + k + 1)),
+        )["loss"]
+        for i in range(2)
+        for k in range(3)
+    ]
+    torch.testing.assert_close(found, torch.stack(rows).mean())
+    lone = Latents(lengths=lengths, frames=lengths, values=x1)
+    assert len(many.eval()._repeated(lone.lengths, x1, words)[0]) == 2  # validation sees each motion once
+
+
 def test_masked_mean_of_nothing_is_zero():
     assert not masked_mean(torch.randn(1, 3, 4), torch.zeros(1, 3, dtype=torch.bool)).any()
 

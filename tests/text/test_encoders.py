@@ -85,6 +85,20 @@ def test_a_bare_string_is_one_prompt():
     torch.testing.assert_close(hashed("walk").pooled, hashed(["walk"]).pooled)
 
 
+def test_words_of_minilm_know_their_place_and_not_their_company(minilm):
+    words = build_text_encoder("minilm_words")
+    assert words.identity == minilm.identity.replace("minilm-", "minilm_words-")
+    assert (words.dim, words.token_dim) == (384, 384)
+    with torch.no_grad():
+        walks, runs, ids = words(["a man walks"]), words(["a man runs"]), words.tokenizer(["a man walks"])["input_ids"]
+        expected = minilm.model.embeddings(torch.tensor(ids))
+    torch.testing.assert_close(walks.tokens, expected)
+    assert torch.equal(walks.tokens[0, :3], runs.tokens[0, :3])
+    assert not torch.equal(walks.tokens[0, 3], runs.tokens[0, 3])
+    assert not torch.equal(minilm(["a man walks"]).tokens[0, :3], minilm(["a man runs"]).tokens[0, :3])
+    assert not torch.equal(walks.tokens[0, 2], words(["man walks a"]).tokens[0, 1])
+
+
 def test_minilm_knows_paraphrases(minilm):
     walk, stroll, jump = minilm(["a person walks forward", "someone is walking ahead", "a man does a backflip"]).pooled
     similarity = torch.nn.functional.cosine_similarity
@@ -137,7 +151,9 @@ def test_unusable_texts_are_named(texts, message):
 
 
 def test_unknown_names_and_superfluous_paths_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"clip_b32, clip_b32_77, clip_l14, distilbert, t5_small, .*, minilm, hashed"):
+    with pytest.raises(
+        ValueError, match=r"choose text= one of clip_b32, .*t5_small, .*, minilm, minilm_words, hashed"
+    ):
         build_text_encoder("clip")
     with pytest.raises(ValueError, match=r"remove text\.path"):
         build_text_encoder("hashed", tmp_path)

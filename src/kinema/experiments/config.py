@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -57,17 +59,29 @@ def read_config(run: Path, kind: Kind = dict) -> DictConfig:
 
 
 def compose(overrides: list[str], config_name: str = "train") -> DictConfig:
-    """Compose a configuration outside of hydra.main; raises ValueError naming a wrong override and what is allowed."""
+    """Compose a configuration outside of hydra.main; raises ValueError naming a wrong override and what is allowed.
+
+    The same overrides are composed once in a process: a table asks for a row's before and after it is run.
+    """
+    if any("searchpath" in override for override in overrides):  # files of somebody else's, which may change
+        return _compose(tuple(overrides), config_name)
+    return copy.deepcopy(_composed(tuple(overrides), config_name))
+
+
+def _compose(overrides: tuple[str, ...], config_name: str) -> DictConfig:
     from hydra import compose as hydra_compose
     from hydra import initialize_config_dir
 
     register_resolvers()
     with initialize_config_dir(str(CONF), version_base="1.3"):
         try:
-            cfg = hydra_compose(config_name, overrides=overrides)
+            cfg = hydra_compose(config_name, overrides=list(overrides))
         except HydraException as error:
             raise ValueError(explain(error)) from None
     return cfg
+
+
+_composed = functools.lru_cache(maxsize=512)(_compose)
 
 
 def explain(error: Exception) -> str:

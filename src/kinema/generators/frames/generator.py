@@ -35,7 +35,8 @@ class SequenceDiffusion(Generator):
 
     `mask_frames` hides padding from the frames; without it a motion is the start of one of `space.most`, in training
     and in sampling. `average` makes the rows of the loss: `per_sequence` or `per_frame`. `condition_drop` is the share
-    of texts that training drops; 0 leaves no empty text to be guided from. `draws_type` is what a step draws.
+    of texts that training drops; 0 leaves no empty text to be guided from. A training step denoises each motion from
+    `batch_multiplier` draws of time, noise and dropped text. `draws_type` is what a step draws.
     """
 
     draws_type: type[FrameDraws] = FrameDraws
@@ -50,8 +51,10 @@ class SequenceDiffusion(Generator):
         mask_frames: bool,
         average: Average,
         sampling: DiffusionSampling,
+        batch_multiplier: int = 1,
     ) -> None:
         super().__init__()
+        self.batch_multiplier = batch_multiplier
         self.space, self.width = space, cast(int, space.width)  # None is for codes
         self.denoiser, self.process, self.sampling = denoiser, process, sampling
         self.condition_drop, self.mask_frames, self.average = condition_drop, mask_frames, average
@@ -91,12 +94,19 @@ class SequenceDiffusion(Generator):
         `shard` = (rank, world). Dropout is torch's own. `draws` replaces what is drawn (tests).
         """
         x1 = check_latents(latents, self.space).detach() * latents.mask[..., None]
+        lengths, x1, text = self._repeated(latents.lengths, x1, text)
         if not self.mask_frames:
             x1 = F.pad(x1, (0, 0, 0, self.space.most - x1.shape[1]))
         draws = draws or self._draw(x1, generator, shard)
-        real = frame_mask(latents.lengths, x1.shape[1])
+        real = frame_mask(lengths, x1.shape[1])
         rows = self.average(self.errors(x1, text, draws, real), real)
         return {"loss": mean_over_ranks(rows, shard[1])}
+
+    def _repeated(self, lengths: Tensor, x1: Tensor, text: TextFeatures) -> tuple[Tensor, Tensor, TextFeatures]:
+        if not self.training or self.batch_multiplier == 1:
+            return lengths, x1, text
+        lengths, x1 = (value.repeat_interleave(self.batch_multiplier, dim=0) for value in (lengths, x1))
+        return lengths, x1, text.repeated(self.batch_multiplier)
 
     def errors(
         self, x1: Float[Tensor, "b n c"], text: TextFeatures, draws: FrameDraws, real: Bool[Tensor, "b n"]

@@ -67,6 +67,7 @@ class MSFlow(SequenceDiffusion):
         shared_modulation: bool = False,
         physics: Physics | None = None,
         condition_drop: Share = 0.1,
+        batch_multiplier: Size = 1,
         max_frames: Size = 196,
         sampling: FrameSampling | None = None,
     ) -> None:
@@ -93,6 +94,7 @@ class MSFlow(SequenceDiffusion):
             condition_drop=condition_drop,
             mask_frames=True,
             average=per_sequence,
+            batch_multiplier=batch_multiplier,
             sampling=sampling or FrameSampling(guidance=3.0, solver="heun", solver_steps=49),
         )
 
