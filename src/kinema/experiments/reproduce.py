@@ -1,8 +1,8 @@
 """Reproduce tables: run what their rows lack, on this machine or as Hydra multiruns of a launcher, then render them.
 
 `kinema reproduce table5 data=open_mocap scale=tiny [launcher=slurm] [--render-only]`; pages (conf/page) alike. Of
-several names (`kinema reproduce table1 table2 data=...`) the tables' jobs share one set of processes, so that none stands
-idle at a table's end.
+several names (`kinema reproduce table1 table2 data=...`) the tables' jobs share one set of processes: none stands idle
+at a table's end.
 """
 
 from __future__ import annotations
