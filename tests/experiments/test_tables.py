@@ -415,6 +415,10 @@ def test_an_unknown_table_is_named_with_those_there_are(monkeypatch, capsys):
         reproduce.main(["table5"])
     assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith("error: there is no table 'table5'")
+    for words, told in ((["Table5"], "no table 'Table5'"), (["data=synthetic"], "no table 'data=synthetic'")):
+        with pytest.raises(SystemExit):
+            reproduce.main(words)
+        assert told in capsys.readouterr().err
 
 
 def test_the_runs_behind_a_table_are_told_without_a_path_of_this_machine(complete, table, micro_tables, tmp_path):

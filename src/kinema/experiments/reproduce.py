@@ -58,9 +58,9 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--intervals", choices=FORMS, help="the 95 %% interval: Student's t, or 1.96 std / sqrt(n)")
     options = vars(parser.parse_intermixed_args(arguments))
-    words = [options.pop("name"), *options.pop("overrides")]
-    names = [word for word in words if re.fullmatch(NAME, word)]
-    overrides = [word for word in words if word not in names]
+    words = options.pop("overrides")
+    names = [options.pop("name"), *(word for word in words if re.fullmatch(NAME, word))]
+    overrides = [word for word in words if not re.fullmatch(NAME, word)]
     try:
         with interruptible():
             reproduce_all(names, overrides, **options)
