@@ -436,7 +436,7 @@ REMODIFFUSE = {
     "method.lengths": "real",
 }
 # FRONTIER §2.5, §3
-LATENT_FLOW = under("generator.model", unit=4)
+LATENT_FLOW = under("generator.model", unit=4) | {"generator.model.process.clamp": 0.2}
 SHORTCUT = {
     **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2, solver="euler"),
     **under("shortcut.train", epochs=50, warmup=500, decay="cosine", ema=0.999),

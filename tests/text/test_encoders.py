@@ -151,9 +151,7 @@ def test_unusable_texts_are_named(texts, message):
 
 
 def test_unknown_names_and_superfluous_paths_are_refused(tmp_path):
-    with pytest.raises(
-        ValueError, match=r"choose text= one of clip_b32, .*t5_small, .*, minilm, minilm_words, hashed"
-    ):
+    with pytest.raises(ValueError, match=r"choose text= one of clip_b32, .*t5_small, .*, minilm, minilm_words, hashed"):
         build_text_encoder("clip")
     with pytest.raises(ValueError, match=r"remove text\.path"):
         build_text_encoder("hashed", tmp_path)

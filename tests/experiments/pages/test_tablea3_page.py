@@ -29,7 +29,7 @@ def test_every_method_has_a_row():
 
 def test_methods_are_timed_without_training_and_written(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
-    small = load_page("tablea3") | {"motions": 5, "batches": [1, 2, 64], "warmup": 1}
+    small = load_page("tablea3") | {"motions": 5, "batches": [1, 2, 64], "warmup": 1, "at": {}}
     small["methods"] = [spec for spec in small["methods"] if spec["key"] in ("mardm_sit", "momask", "t2m_gpt")]
     monkeypatch.setattr(pages, "load_page", lambda name: small)
     reproduce("tablea3", micro, jobs=1, out=tmp_path / "page")

@@ -11,7 +11,7 @@ from typing import Any, Protocol, cast
 
 from omegaconf import OmegaConf
 
-from kinema.experiments.config import CONF, plain
+from kinema.experiments.config import CONF, compose, plain
 from kinema.experiments.request import Request
 
 
@@ -28,7 +28,7 @@ def pages() -> list[str]:
 
 
 def load_page(name: str) -> dict[str, Any]:
-    """Read conf/page/NAME.yaml."""
+    """Read conf/page/NAME.yaml; what it has `at` a scale, by the scale's name, replaces the same keys there."""
     return {"name": name, **plain(OmegaConf.load(CONF / "page" / f"{name}.yaml"))}
 
 
@@ -36,5 +36,8 @@ def make_page(request: Request) -> list[Path]:
     """Carry out what a page asks for, and return what was written."""
     request.refuse_options_of_tables()
     page = load_page(request.name)
+    if "at" in page:
+        there = page["at"].get(compose(request.shared, "evaluate").scale.name, {})
+        page = {key: value for key, value in page.items() if key != "at"} | there
     author = cast(Author, importlib.import_module(f"{__name__}.{page.get('author', request.name)}"))
     return author.carry_out(page, request)
