@@ -120,6 +120,7 @@ def test_points_are_scored_once_and_drawn(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     small = load_page("solvers")
     small["methods"] = [spec for spec in small["methods"] if spec["key"] == "mardm_sit"]
+    small["at"] = {}
     small["solvers"] = {"flow": {"euler": [3, 2, 1], "heun": [1], "euler emergence": [3]}}
     monkeypatch.setattr(pages, "load_page", lambda name: small)
     for _ in range(2):
