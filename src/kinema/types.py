@@ -173,14 +173,6 @@ class TextFeatures(_Movable):
     token_mask: Bool[Tensor, "b l"] | None = None
     clip_ids: list[str] = field(default_factory=list)
 
-    def repeated(self, times: int) -> TextFeatures:
-        """Return each text `times` times, one after the other."""
-        values = (self.pooled, self.tokens, self.token_mask)
-        pooled, tokens, mask = (None if v is None else v.repeat_interleave(times, dim=0) for v in values)
-        assert pooled is not None
-        texts, names = ([name for name in names for _ in range(times)] for names in (self.texts, self.clip_ids))
-        return TextFeatures(texts, pooled, tokens, mask, names)
-
 
 @dataclass
 class Known(_Movable):

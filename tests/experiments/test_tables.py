@@ -17,6 +17,7 @@ from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
+from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
 from kinema.report.cells import grid
 
@@ -208,12 +209,13 @@ def test_several_tables_share_their_jobs_and_pages_take_no_options_of_tables(
     table, micro_tables, tmp_path, monkeypatch
 ):
     calls: list[list[Job]] = []
-    made: list[tuple[str, dict]] = []
+    made: list[Request] = []
     rows = {row["key"]: row for row in table["rows"]}
     small = {name: {**table, "rows": [rows["real"], rows[name]]} for name in ("mardm_sit", "mardm_ddpm")}
     monkeypatch.setattr(reproduce, "load_table", lambda name: dict(small[name.replace("-", "_")]))
     monkeypatch.setattr(reproduce, "run_jobs", lambda jobs, count: calls.append(jobs))
-    monkeypatch.setattr(reproduce, "reproduce", lambda name, overrides, **options: made.append((name, options)))
+    for maker in ("_reproduce_table", "_reproduce_page"):
+        monkeypatch.setattr(reproduce, maker, lambda request, failed=None: made.append(request))
     overrides, names = [*micro_tables, f"paths.runs={tmp_path}/runs"], ["mardm-sit", "mardm-ddpm"]
     with pytest.raises(ValueError, match="--out is the folder of one report"):
         reproduce.reproduce_all(names, overrides, out=tmp_path)
@@ -222,21 +224,29 @@ def test_several_tables_share_their_jobs_and_pages_take_no_options_of_tables(
     alone = [missing_jobs(plan(one, overrides, 2), overrides) for one in small.values()]
     assert {job.makes for job in jobs} == {job.makes for part in alone for job in part}
     assert len(jobs) == len({job.makes for job in jobs}) < sum(map(len, alone))
-    assert made == [(name, {"seeds": 2}) for name in names] + [("noise", {})]
+    assert [(one.name, one.seeds, one.render_only) for one in made] == [
+        *((name, 2, True) for name in names),
+        ("noise", 1, False),
+    ]
 
 
-def test_a_table_that_fails_keeps_no_other_from_being_made(monkeypatch):
-    made: list[str] = []
-
-    def fail(name: str, overrides: list[str], **options: bool) -> None:
-        made.append(name)
-        if name == "table5":
-            raise JobsFailedError({Job("train", (), Path("a")): ValueError("no")}, [])
-
-    monkeypatch.setattr(reproduce, "reproduce", fail)
-    with pytest.raises(JobsFailedError):
-        reproduce.reproduce_all(["table5", "noise"], [], render_only=True)
-    assert made == ["table5", "noise"]
+@pytest.mark.slow
+def test_what_failed_for_several_tables_is_not_tried_again_and_every_row_says_why(
+    table, micro_tables, tmp_path, monkeypatch
+):
+    wrong = [*micro_tables, f"paths.runs={tmp_path}/runs", "evaluator.decomposition.train.lr=1e30"]
+    small = {**table, "rows": [row for row in table["rows"] if row["key"] in ("real", "shuffled")]}
+    runs: list[int] = []
+    tried = reproduce.run_jobs
+    monkeypatch.setattr(reproduce, "load_table", lambda name: dict(small))
+    monkeypatch.setattr(reproduce, "run_jobs", lambda jobs, count: runs.append(len(jobs)) or tried(jobs, count))
+    monkeypatch.setattr(reproduce, "run_missing", lambda *_: pytest.fail("it was run again"))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError, match=r"`kinema train stage=\w+ .*` failed: .*diverged"):
+        reproduce.reproduce_all(["table5", "table6"], wrong, jobs=1)
+    assert len(runs) == 1
+    for name in ("table5", "table6"):
+        assert "Real motion with shuffled captions: failed: " in (tmp_path / f"reports/{name}/table.md").read_text()
 
 
 @pytest.mark.slow

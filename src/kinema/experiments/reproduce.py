@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from kinema.experiments.launching import run_missing
 from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.refusals import refusals
-from kinema.experiments.request import OF_TABLES, Request
+from kinema.experiments.request import Request
 from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
 from kinema.report.index import write_site
 from kinema.report.intervals import FORMS
@@ -71,70 +71,86 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(f"error: {printable(str(error))}")
 
 
-def reproduce_all(names: list[str], overrides: list[str], **options: Any) -> None:
-    """Run what several tables lack, together where this machine does it, and render each; options as of Request.
-
-    Beside tables, pages have none of the options that are tables' alone. What fails doesn't keep the others from being
-    made; the first failure is raised when all are.
-    """
-    requests = [Request(name, tuple(overrides), **options) for name in names]
-    if len(requests) > 1 and requests[0].out is not None:
-        raise ValueError("--out is the folder of one report; leave it out, or give one name")
-    if len(requests) > 1 and not (requests[0].plan or requests[0].render_only or requests[0].launcher):
-        _run_together([request for request in requests if request.name not in pages()])
-    failures: list[JobsFailedError] = []
-    for name in names:
-        given = {k: v for k, v in options.items() if len(names) == 1 or name not in pages() or k not in OF_TABLES}
-        try:
-            reproduce(name, overrides, **given)
-        except JobsFailedError as error:
-            if len(names) == 1:
-                raise
-            console.print(f"[red]failed[/]    {name}")
-            failures.append(error)
-    if failures:
-        raise failures[0]
-
-
-def _run_together(requests: list[Request]) -> None:
-    """Run what the tables lack in one set of processes; what fails here is tried again and told by its own table."""
-    jobs: dict[tuple[Path, tuple[int, ...], frozenset[str]], Job] = {}
-    count = 1
-    for request in requests:
-        table = load_table(request.name)
-        if not meant_for(table, request.shared):
-            continue
-        rows, own = plan(table, request.shared, request.seeds), [*table.get("overrides", []), *_group(request)]
-        for job in missing_jobs(rows, [*request.shared, *own], request.replications):
-            jobs.setdefault((job.makes, job.replications, job.judges), job)
-        count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))
-    with suppress(JobsFailedError):
-        run_jobs(list(jobs.values()), count)
-
-
-def _group(request: Request) -> list[str]:
-    return [f"logger.group={request.name}"]
-
-
 def reproduce(name: str, overrides: list[str], **options: Any) -> None:
     """Run what a table or page lacks and render it; options as of Request.
 
     What fails is said in its row; the rest is made and rendered before JobsFailedError is raised. Without `out` the
     report goes to reports/, and the site over all that lies there is written anew.
     """
-    request = Request(name, tuple(overrides), **options)
-    if name in pages():
-        if request.plan:
-            console.print(f"plan      {name} is a page: what it lacks is known when it is made")
-            return
-        written = make_page(request)
-        _tell_written(written, request)
-        show_page(compose(request.shared, "evaluate"), name, fingerprint(request.command), written)
-    else:
-        _reproduce_table(load_table(name), request)
+    _reproduce(Request(name, tuple(overrides), **options))
 
 
-def _reproduce_table(table: dict[str, Any], request: Request) -> None:
+def reproduce_all(names: list[str], overrides: list[str], **options: Any) -> None:
+    """Reproduce several: on this machine what the tables lack is run in one set of processes, then each is rendered.
+
+    Beside tables, pages have none of the options that are tables' alone. What fails doesn't keep the others from being
+    made; the first failure is raised when all are.
+    """
+    requests = [Request(name, tuple(overrides), **options) for name in names]
+    first = requests[0]
+    if len(requests) == 1:
+        _reproduce(first)
+        return
+    if first.out is not None:
+        raise ValueError("--out is the folder of one report; leave it out, or give one name")
+    tables = [request for request in requests if request.name not in pages()]
+    together = not (first.plan or first.render_only or first.launcher)
+    made = _run_together(tables) if together else None
+    failures = [made] if made is not None else []
+    for request in requests:
+        try:
+            if request not in tables:
+                _reproduce_page(replace(request, seeds=1, intervals=None))
+            elif together:
+                _reproduce_table(replace(request, render_only=True), made)
+            else:
+                _reproduce_table(request)
+        except JobsFailedError as error:
+            failures.append(error)
+    if failures:
+        raise failures[0]
+
+
+def _run_together(requests: list[Request]) -> JobsFailedError | None:
+    """Run what the tables lack, each job once; return what failed."""
+    jobs: dict[tuple[Path, tuple[int, ...], frozenset[str]], Job] = {}
+    count = 1
+    for request in requests:
+        table = load_table(request.name)
+        if not meant_for(table, request.shared):
+            continue
+        rows = plan(table, request.shared, request.seeds)
+        for job in missing_jobs(rows, [*request.shared, *_own(table, request)], request.replications):
+            jobs.setdefault((job.makes, job.replications, job.judges), job)
+        count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))
+    try:
+        run_jobs(list(jobs.values()), count)
+    except JobsFailedError as error:
+        return error
+    return None
+
+
+def _own(table: dict[str, Any], request: Request) -> list[str]:
+    """The overrides that a table gives its runs: those of its file, and the dashboards' group."""
+    return [*table.get("overrides", []), f"logger.group={request.name}"]
+
+
+def _reproduce(request: Request) -> None:
+    return _reproduce_page(request) if request.name in pages() else _reproduce_table(request)
+
+
+def _reproduce_page(request: Request) -> None:
+    if request.plan:
+        console.print(f"plan      {request.name} is a page: what it lacks is known when it is made")
+        return
+    written = make_page(request)
+    _tell_written(written, request)
+    show_page(compose(request.shared, "evaluate"), request.name, fingerprint(request.command), written)
+
+
+def _reproduce_table(request: Request, made: JobsFailedError | None = None) -> None:
+    """Render a table, after running what it lacks; `made` has failed before, with other tables' jobs."""
+    table = load_table(request.name)
     if not meant_for(table, request.shared):
         console.print(f"skipped   {request.name} is a table of data={', data='.join(table['only'])} alone")
         return
@@ -142,18 +158,19 @@ def _reproduce_table(table: dict[str, Any], request: Request) -> None:
         table["intervals"] = request.intervals
     if request.launcher:
         compose([*request.shared, *request.launcher])  # tells an unknown launcher, or option of it, before all else
-    rows, own = plan(table, request.shared, request.seeds), table.get("overrides", [])
+    rows, own = plan(table, request.shared, request.seeds), _own(table, request)
     if request.plan:
-        print_plan(missing_jobs(rows, [*request.shared, *own], request.replications), rows)
+        print_plan(missing_jobs(rows, [*request.shared, *table.get("overrides", [])], request.replications), rows)
         return
     failure: JobsFailedError | None = None
     if not request.render_only and any(row.cfg is not None and not row.complete for row in rows):
         try:
-            run_missing(rows, [*own, *_group(request)], request)
+            run_missing(rows, own, request)
         except JobsFailedError as error:
             failure = error
         rows = plan(table, request.shared, request.seeds)
-        rows = rows if failure is None else [row.explained(failure.reasons()) for row in rows]
+    told = failure or made
+    rows = rows if told is None else [row.explained(told.reasons()) for row in rows]
     written = render_table(table, rows, request.folder(), request.command)
     _tell_written(written, request)
     some = next(row.cfg for row in rows if row.cfg is not None)

@@ -15,9 +15,6 @@ HERE = "local"
 """The launcher that is none: jobs run in processes of this machine."""
 
 CHOICES = ("launcher=", "hydra/launcher=")
-OF_TABLES = ("seeds", "intervals")
-"""The options that pages don't have."""
-
 HYDRAS = (*CHOICES, "hydra.", "hydra/")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from kinema.types import TextFeatures
@@ -30,13 +30,23 @@ def without_words(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) ->
 
 def some(text: TextFeatures, rows: Bool[Tensor, " b"]) -> TextFeatures:
     """Take the samples where `rows` is True."""
+    return _taken(text, rows.nonzero().squeeze(1))
+
+
+def repeated(text: TextFeatures, times: int) -> TextFeatures:
+    """Take every sample `times` times, one after the other."""
+    rows = torch.arange(len(text.pooled), device=text.pooled.device)
+    return _taken(text, rows.repeat_interleave(times))
+
+
+def _taken(text: TextFeatures, rows: Int[Tensor, " n"]) -> TextFeatures:
     own = rows.tolist()
     return TextFeatures(
-        texts=[one for one, taken in zip(text.texts, own, strict=True) if taken],
+        texts=[text.texts[i] for i in own],
         pooled=text.pooled[rows],
         tokens=None if text.tokens is None else text.tokens[rows],
         token_mask=None if text.token_mask is None else text.token_mask[rows],
-        clip_ids=[one for one, taken in zip(text.clip_ids, own, strict=False) if taken],
+        clip_ids=[text.clip_ids[i] for i in own] if text.clip_ids else [],
     )
 
 

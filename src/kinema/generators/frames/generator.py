@@ -20,7 +20,7 @@ from kinema.generators.frames.denoiser import Denoiser
 from kinema.generators.frames.sampling import DiffusionSampling, FrameSampling, Kept
 from kinema.generators.frames.training import FrameDraws
 from kinema.generators.lengths import requested_lengths
-from kinema.generators.texts import without_text
+from kinema.generators.texts import repeated, without_text
 from kinema.generators.values import check_latents
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
@@ -106,7 +106,7 @@ class SequenceDiffusion(Generator):
         if not self.training or self.batch_multiplier == 1:
             return lengths, x1, text
         lengths, x1 = (value.repeat_interleave(self.batch_multiplier, dim=0) for value in (lengths, x1))
-        return lengths, x1, text.repeated(self.batch_multiplier)
+        return lengths, x1, repeated(text, self.batch_multiplier)
 
     def errors(
         self, x1: Float[Tensor, "b n c"], text: TextFeatures, draws: FrameDraws, real: Bool[Tensor, "b n"]
