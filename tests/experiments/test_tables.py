@@ -425,7 +425,11 @@ def test_an_unknown_table_is_named_with_those_there_are(monkeypatch, capsys):
         reproduce.main(["table5"])
     assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith("error: there is no table 'table5'")
-    for words, told in ((["Table5"], "no table 'Table5'"), (["data=synthetic"], "no table 'data=synthetic'")):
+    for words, told in (
+        (["Table5"], "no table 'Table5'"),
+        (["data=synthetic"], "no table 'data=synthetic'"),
+        (["noise", "TableX", "data=synthetic"], "no table 'TableX'"),
+    ):
         with pytest.raises(SystemExit):
             reproduce.main(words)
         assert told in capsys.readouterr().err

@@ -8,7 +8,6 @@ at a table's end.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -30,9 +29,6 @@ from kinema.runs.console import console, printable
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import upstream
 from kinema.signals import Interrupted, interruptible
-
-NAME = r"[a-z][a-z0-9-]*"
-"""What names a table or page; overrides hold a = or begin with a ~."""
 
 
 @refusals()
@@ -59,8 +55,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--intervals", choices=FORMS, help="the 95 %% interval: Student's t, or 1.96 std / sqrt(n)")
     options = vars(parser.parse_intermixed_args(arguments))
     words = options.pop("overrides")
-    names = [options.pop("name"), *(word for word in words if re.fullmatch(NAME, word))]
-    overrides = [word for word in words if not re.fullmatch(NAME, word)]
+    overrides = [word for word in words if "=" in word or word.startswith("~")]
+    names = [options.pop("name"), *(word for word in words if word not in overrides)]
     try:
         with interruptible():
             reproduce_all(names, overrides, **options)
