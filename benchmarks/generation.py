@@ -1,6 +1,6 @@
 """Measure generation from sentences to features: milliseconds a motion by part, and the ratio to MARDM-SiT.
 
-    python benchmarks/generation.py [data=open_mocap scale=tiny ...] [--motions 96] [--repeats 2]
+    python benchmarks/generation.py [data=open_mocap scale=tiny precision=bfloat16 ...] [--motions 96] [--repeats 2]
 
 Arguments are Hydra overrides for every method (default: data=synthetic scale=tiny). Weights are those that training
 begins with: what a method takes depends on sizes, samplers and lengths, which are those of test motions. Text encoder
@@ -39,7 +39,8 @@ def main() -> None:
     options = parser.parse_intermixed_args()
     torch.set_num_threads(1)
     shared = options.overrides or ["data=synthetic", "scale=tiny"]
-    store = PackedStore.open(open_corpus(compose(shared, "evaluate")))
+    given = compose(shared, "evaluate")
+    store = PackedStore.open(open_corpus(given))
     asked = read_motions(store, "test", options.motions)
     page = {"batches": BATCHES, "warmup": 1}
     best: dict[tuple[str, int], dict] = {}
@@ -49,7 +50,8 @@ def main() -> None:
             for row in time_method({"key": label, "label": label}, cfg, store, asked, page):
                 kept = best.setdefault((label, row["batch"]), row)
                 best[label, row["batch"]] = min(kept, row, key=lambda one: one["s / motion"])
-    print(f"{len(asked.lengths)} motions of {asked.lengths.float().mean():.0f} frames on average, one thread")
+    frames = asked.lengths.float().mean()
+    print(f"{len(asked.lengths)} motions of {frames:.0f} frames on average, one thread, {given.precision}")
     for size in BATCHES:
         for label, _ in METHODS:
             row, base = best[label, size], best["MARDM-SiT", size]

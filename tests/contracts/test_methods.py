@@ -168,3 +168,20 @@ def test_parts_are_chained_to_a_long_motion(pipeline, method):
     assert np.isfinite(motion.joints).all()
     with pytest.raises(ValueError, match=f"a transition of {model.max_frames} frames does not fit"):
         model.chain(TEXTS, 40, seed=2, transition=model.max_frames)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_products_in_bfloat16_give_nearly_the_same_motion_and_are_not_saved(make, workshop, method, tmp_path):
+    tokenizer, generator, trained = make(method)
+    beside = {name: deepcopy(part).eval() for name, part in trained.items()}
+    if isinstance(generator, ReMoDiffuse):
+        beside["retrieval"] = generator.database
+    model = TextToMotion(deepcopy(tokenizer), deepcopy(generator).eval(), workshop.text, beside)
+    whole = model.generate(TEXTS, [40, 84, 62], seed=3)
+    short = model.bfloat16().generate(TEXTS, [40, 84, 62], seed=3)
+    assert all(motion.features.dtype == np.float32 and np.isfinite(motion.joints).all() for motion in short)
+    if generator.space.kind != "codes":  # another code than before is another motion from there on
+        for one, other in zip(whole, short, strict=True):
+            assert np.abs(one.features - other.features).mean() < 0.1 * one.features.std()
+    with pytest.raises(ValueError, match="weights were cast to bfloat16; load it again"):
+        model.save(tmp_path / "saved")

@@ -44,6 +44,8 @@ WRONG = [
     ("evaluate", ["evaluator.words=nope"], "evaluator.words=nope: must be one of"),
     ("evaluate", ["evaluator.tokens=nope"], "evaluator.tokens=nope: must be one of"),
     ("evaluate", ["evaluator.words=our_vab", "evaluator.words_path=/nowhere"], "/nowhere"),
+    ("evaluate", ["source=real", "precision=bfloat16"], "source=real has none; leave it out"),
+    ("evaluate", ["precision=bf16"], "must be one of float32, bfloat16"),
     ("evaluate", ["source=real", "evaluator.tokens=clip_b16", "evaluator.tokens_path=/nowhere"], "/nowhere"),
 ]
 

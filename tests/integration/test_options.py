@@ -134,6 +134,17 @@ def test_redundant_motion_is_judged_on_essential_dims(brief):
     assert identity["kind"] == "essential"
 
 
+def test_products_in_bfloat16_are_a_row_of_their_own_that_is_scored_nearly_the_same(brief):
+    asked = [*brief, "source=generation", "scale.protocol.replications=1"]
+    whole, short = (compose([*asked, f"precision={name}"], "evaluate") for name in ("float32", "bfloat16"))
+    assert describe(short).folder.path.name.startswith("generation_bfloat16-mardm_sit-")
+    assert describe(whole).folder == describe(compose(asked, "evaluate")).folder
+    one, other = judged(whole), judged(short)
+    assert one["fid"] != other["fid"]
+    assert one["fid"] == pytest.approx(other["fid"], rel=0.05)
+    assert describe(short).lines[0]["provenance"]["precision"] == "bfloat16"
+
+
 def test_the_redundant_judge_reads_real_motion(brief):
     redundant = [*brief, "evaluator=redundant", "scale.protocol.replications=1", "source=real"]
     metrics = judged(compose(redundant, "evaluate"))

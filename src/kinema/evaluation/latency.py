@@ -69,7 +69,7 @@ def _time(
     clock.lap("text")
     latents = model.sample_latents(text, frames, seeds=seeds, sampling=sampling)
     clock.lap("generation")
-    model.tokenizer.decode(latents)
+    model.decode(latents)
     clock.lap("decoding")
     calls = {k.removesuffix("_calls"): v for k, v in counter.take(1, size).items() if k.endswith("_calls")}
     return Latency(size, clock.seconds, calls)

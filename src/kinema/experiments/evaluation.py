@@ -110,6 +110,7 @@ def describe(cfg: DictConfig) -> Row:
     if "oracle" in identity:
         what = f"oracle_{cfg.oracle.knows}"
     what += ("_feet" if cfg.lock_feet else "") + ("_lifted" if cfg.lift else "")
+    what += f"_{cfg.precision}" if "precision" in identity else ""
     run = asked_for(cfg)
     who = [cfg.method.name, cfg.generator.get("variant"), dims(cfg)] if run is None else [run.name]
     read = {name: run for name, run in row.judges.items() if name not in unread(cfg)}
@@ -146,6 +147,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
         identity["lift"] = True
     if cfg.lock_feet:
         identity["lock_feet"] = True
+    if cfg.precision != "float32":
+        identity["precision"] = cfg.precision
     if cfg.source == "perturbed":
         identity["perturb"] = plain(cfg.perturb)
     if cfg.source == "oracle":
@@ -195,6 +198,10 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     _check_judges(cfg, row)
     if cfg.source == "generation":
         build_sampling(cfg)
+    elif cfg.precision != "float32":
+        raise ValueError(
+            f"precision={cfg.precision} is how a generator computes, and source={cfg.source} has none; leave it out"
+        )
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)

@@ -16,6 +16,7 @@ from kinema.experiments.dashboards import MODES
 from kinema.experiments.stages import judges, stages
 from kinema.motion.representation import VARIANTS
 from kinema.motion.skeleton import SKELETONS
+from kinema.nn.precision import PRECISIONS
 from kinema.options import Count, NonNegative, Number, OneOf, Options, Positive, Seed, Size, Threads, check, make
 from kinema.text import tokens, words
 from kinema.text.encoders import ENCODERS
@@ -210,6 +211,7 @@ class Request(Options):
     lengths: Annotated[str, OneOf(LENGTHS)] = "real"
     lift: bool = False
     lock_feet: bool = False
+    precision: Annotated[str, OneOf(PRECISIONS)] = "float32"
     replications: Annotated[list[Number], Len(1)] | None = None
     objective: str | None = None
     run: str | None = None

@@ -84,6 +84,7 @@ class Scorer:
             "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
             "lift": cfg.lift,
             "lock_feet": cfg.lock_feet,
+            "precision": cfg.precision,
             "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
             "oracle": plain(cfg.oracle) if cfg.source == "oracle" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
@@ -163,6 +164,7 @@ class Scorer:
             model = TextToMotion.from_run(run, device=self.device, **row.beside)
             sampling = build_sampling(cfg)
             model.generator.check_sampling(sampling)
+            model = model.bfloat16() if cfg.precision == "bfloat16" else model
             # The run's own text encoder, which need not be the configuration's (an imported run).
             model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)
             if cfg.task == "editing":

@@ -299,9 +299,15 @@ def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any
 
 def _notes(row: TableRow) -> tuple[str, ...]:
     """Say what of the row's making a reader can't see in its label."""
-    lifted, locked = (row.cfg is not None and row.cfg[key] for key in ("lift", "lock_feet"))
-    changes = ("redundant dims recomputed from the joints" if lifted else "", "feet held" if locked else "")
-    return _lengths_note(row), _steps_note(row), *changes
+    if (cfg := row.cfg) is None:
+        return ()
+    return (
+        _lengths_note(row),
+        _steps_note(row),
+        "redundant dims recomputed from the joints" if cfg.lift else "",
+        "feet held" if cfg.lock_feet else "",
+        "" if cfg.precision == "float32" else f"products in {cfg.precision}",
+    )
 
 
 def _lengths_note(row: TableRow) -> str:

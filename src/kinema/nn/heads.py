@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.nn.norms import RMSNorm
 from kinema.nn.rotary import rotary
 from kinema.nn.rows import Rows
 
@@ -25,8 +26,8 @@ class Projections(nn.Module):
             )
         self.heads = heads
         self.qkv = nn.Linear(width, 3 * width, bias=False)
-        self.query_norm = nn.RMSNorm(width // heads, eps=1e-6)
-        self.key_norm = nn.RMSNorm(width // heads, eps=1e-6)
+        self.query_norm = RMSNorm(width // heads)
+        self.key_norm = RMSNorm(width // heads)
         self.proj = nn.Linear(width, width)
 
     def split(self, x: Float[Tensor, "m w"], rows: Rows, *, base: float | None = None) -> Heads:
@@ -57,7 +58,7 @@ class CrossAttention(nn.Module):
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
-        self.norm = nn.RMSNorm(width, eps=1e-6)
+        self.norm = RMSNorm(width)
         self.attention = Projections(width, heads)
         self.close()
 

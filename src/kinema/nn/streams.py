@@ -9,6 +9,7 @@ from torch.nn import functional as F
 
 from kinema.nn.heads import CrossAttention, Projections
 from kinema.nn.modulation import modulate
+from kinema.nn.norms import RMSNorm
 from kinema.nn.rows import Rows
 from kinema.nn.swiglu import SwiGLU
 
@@ -65,8 +66,8 @@ class Stream(nn.Module):
     def __init__(self, width: int, heads: int, hidden: int, shared: bool = False) -> None:
         super().__init__()
         self.attention = Projections(width, heads)
-        self.norm1 = nn.RMSNorm(width, eps=1e-6)
-        self.norm2 = nn.RMSNorm(width, eps=1e-6)
+        self.norm1 = RMSNorm(width)
+        self.norm2 = RMSNorm(width)
         self.mlp = SwiGLU(width, hidden)
         self.modulation = Modulation(width, 6, shared)
 
@@ -88,8 +89,8 @@ class Context(nn.Module):
         super().__init__()
         self.heads = heads
         self.kv = nn.Linear(width, 2 * width, bias=False)
-        self.key_norm = nn.RMSNorm(width // heads, eps=1e-6)
-        self.norm1 = nn.RMSNorm(width, eps=1e-6)
+        self.key_norm = RMSNorm(width // heads)
+        self.norm1 = RMSNorm(width)
         self.modulation = Modulation(width, 2, shared)
 
     def forward(

@@ -12,6 +12,7 @@ from torch import nn
 
 from kinema.devices import find_device
 from kinema.generators import Generator
+from kinema.nn.precision import Precision
 from kinema.pipeline.card import Card
 from kinema.pipeline.compatibility import check_pair
 from kinema.pipeline.folder import read_parts, write_parts
@@ -34,6 +35,7 @@ class Portable:
 
     card: Card | None = None
     repertoire: Repertoire | None = None
+    precision: Precision = "float32"
 
     def __init__(
         self,
@@ -106,6 +108,11 @@ class Portable:
         Raises ValueError for any other folder that exists.
         """
         path = Path(path)
+        if self.precision != "float32":
+            raise ValueError(
+                f"this model's weights were cast to {self.precision}; load it again and save that one (half=True "
+                "writes a file of half the size)"
+            )
         if "text" not in self.meta:
             raise ValueError('meta has no "text": {"encoder": name, "path": ...}; pass it to TextToMotion to save it')
         own = {"text": self.text_encoder.identity, "representation": self.tokenizer.identity()}

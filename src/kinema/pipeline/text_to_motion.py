@@ -17,6 +17,7 @@ from kinema.motion.body_parts import PARTS
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import Skeleton
 from kinema.nn.mode import inference
+from kinema.nn.precision import cast_products, computing
 from kinema.options import Count, check, check_value
 from kinema.pipeline.arguments import BATCH, batches, batches_by_length, check_sources, frame_counts, paired
 from kinema.pipeline.blending import BLEND, Seconds, put_back
@@ -77,6 +78,17 @@ class TextToMotion(Portable):
             module.eval()
         return self
 
+    def bfloat16(self) -> TextToMotion:
+        """Generate with products in bfloat16 from now on, of weights that are cast once: about half their memory.
+
+        Sums, norms, the steps of a sampler and the text encoder stay in fp32. On a CPU without bfloat16 products it is
+        slower (docs/evaluation.md). Such a model can't be saved: load it again for that.
+        """
+        for module in self._modules():
+            cast_products(module)
+        self.precision = "bfloat16"
+        return self
+
     def sample(
         self,
         text: TextFeatures,
@@ -91,7 +103,12 @@ class TextToMotion(Portable):
         `frames` may be any number: the last latent is cut. None takes the lengths of `known`, or leaves them to the
         generator or the length estimator. `sampling` replaces the generator's own.
         """
-        return self.tokenizer.decode(self.sample_latents(text, frames, seeds=seeds, known=known, sampling=sampling))
+        return self.decode(self.sample_latents(text, frames, seeds=seeds, known=known, sampling=sampling))
+
+    def decode(self, latents: Latents) -> MotionBatch:
+        """Decode to de-normalised motion."""
+        with computing(self.precision, self.device):
+            return self.tokenizer.decode(latents)
 
     def sample_latents(
         self,
@@ -106,7 +123,8 @@ class TextToMotion(Portable):
         if frames is None and known is None and not self.generator.predicts_length:
             frames = self._estimated(text, seeds)
         asked = None if frames is None else self.generator.space.whole(frames).to(self.device)
-        latents = self.generator.sample(text.to(self.device), asked, seeds=seeds, known=known, sampling=sampling)
+        with computing(self.precision, self.device):
+            latents = self.generator.sample(text.to(self.device), asked, seeds=seeds, known=known, sampling=sampling)
         return latents if frames is None else replace(latents, frames=frames.to(self.device))
 
     def generate(
@@ -291,6 +309,7 @@ class TextToMotion(Portable):
     def _inference(self) -> Iterator[None]:
         """Switch all parts to inference, and back: a model in training may be asked for samples."""
         with ExitStack() as stack:
+            stack.enter_context(computing(self.precision, self.device))
             for module in self._modules():
                 stack.enter_context(inference(module))
             yield

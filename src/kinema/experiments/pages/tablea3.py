@@ -61,6 +61,7 @@ def time_method(
 ) -> Rows:
     """Return a row for each batch size."""
     model, sampling = untrained(cfg, store, asked), build_sampling(cfg)
+    model = model.bfloat16() if cfg.precision == "bfloat16" else model
     lengths = asked.lengths.clamp(max=model.max_frames).tolist()
     found = []
     for size in page["batches"]:
@@ -91,7 +92,7 @@ def machine(cfg: DictConfig) -> dict[str, Any]:
     device = find_device(cfg.trainer.accelerator)
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else _processor()
     facts = {"device": f"{device.type}, {name}", "threads": torch.get_num_threads(), "cores": os.cpu_count()}
-    return facts | {"precision": "float32", "weights": "as training begins", "versions": versions()}
+    return facts | {"precision": cfg.precision, "weights": "as training begins", "versions": versions()}
 
 
 def _processor() -> str:

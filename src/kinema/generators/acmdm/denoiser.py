@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import timestep_embedding
 from kinema.nn.modulation import modulate
+from kinema.nn.norms import RMSNorm
 from kinema.nn.rows import Rows
 from kinema.nn.streams import CrossBlock, Modulation, initialize
 from kinema.types import TextFeatures
@@ -53,7 +54,7 @@ class AcmdmDenoiser(Denoiser):
         self.time = nn.Sequential(nn.Linear(FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
         self.text_projection = nn.Linear(text_dim, width)
         self.blocks = nn.ModuleList(CrossBlock(width, heads, 8 * width // 3) for _ in range(layers))
-        self.norm = nn.RMSNorm(width, eps=1e-6)
+        self.norm = RMSNorm(width)
         self.modulation = Modulation(width, 2)
         self.motion_out = nn.Linear(width, size)
         self.reset_parameters()
