@@ -123,6 +123,7 @@ TEXT_END = 512 * 512 + 128 + 513 * 512 + 512 + 3 * 512 * 682 + 4 * 512 * 513
 MSFLOW = 68_772_103 - (768 - 512) * 512 - TEXT_END
 # The words, four more, and attention to them: its norms, queries, keys, values and output.
 WORDS = 513 * 1024 + 4 * 1024 + 1024 + 2 * 64 + 3 * 1024 * 1024 + 1025 * 1024
+AE_2X = {"humanml3d": 9_914_179, "kit_ml": 9_904_960}
 SIZES = {
     "mardm_ddpm": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
     "mardm_sit": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648),
@@ -151,8 +152,8 @@ SIZES = {
     "msflow_263": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW),
     "msflow_67": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "msflow": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 66) * (2 * 512 + 1)),
-    "latent_flow": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, MSFLOW + (512 - 263) * (2 * 512 + 1)),
-    "latent_flow_few": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, MSFLOW + (512 - 263) * (2 * 512 + 1)),
+    "latent_flow": (AE_2X, MSFLOW + (512 - 263) * (2 * 512 + 1)),
+    "latent_flow_few": (AE_2X, MSFLOW + (512 - 263) * (2 * 512 + 1)),
     "msflow_67_few": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "mardm_words": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648 + WORDS),
     "acmdm": ({"humanml3d": 16_289_799, "kit_ml": 16_289_799}, 39_055_960),
@@ -436,7 +437,8 @@ REMODIFFUSE = {
     "method.lengths": "real",
 }
 # FRONTIER §2.5, §3
-LATENT_FLOW = under("generator.model", unit=4) | {"generator.model.process.clamp": 0.2}
+LATENT_FLOW = under("generator.model", unit=2, patch=2) | {"generator.model.process.clamp": 0.2}
+LATENT_FLOW |= under("tokenizer.model", width=512, latent_dim=256, down_levels=1)
 SHORTCUT = {
     **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2, solver="euler"),
     **under("shortcut.train", epochs=50, warmup=500, decay="cosine", ema=0.999),
