@@ -25,9 +25,10 @@ def find_conf(package: Path) -> Path:
 
 
 CONF = find_conf(Path(__file__).resolve().parents[1])
-TASKS, LENGTHS = ("generation", "editing"), ("real", "predicted")
+TASKS, LENGTHS = ("generation", "editing", "control"), ("real", "predicted")
 DIMS, PERTURBATIONS = ("essential", "redundant"), ("add", "replace")
 SPACES = ("evaluator", "corpus")
+DENSITIES = ("one", "two", "five", "quarter", "all", "mixed")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "oracle", "reconstruction", "generation")
 ORACLES = ("action", "style")
@@ -124,8 +125,12 @@ def validate(cfg: DictConfig) -> None:
 
     check_groups(cfg)
     if "source" in cfg:
-        if cfg.task == "editing" and cfg.source != "generation":
-            raise ValueError(f"task=editing with source={cfg.source}; only source=generation edits")
+        if cfg.task != "generation" and cfg.source != "generation":
+            raise ValueError(f"task={cfg.task} with source={cfg.source}; only source=generation has tasks")
+        if cfg.precision != "float32" and cfg.source != "generation":
+            raise ValueError(
+                f"precision={cfg.precision} is how a generator computes, and source={cfg.source} has none; leave it out"
+            )
         _check_scoring(cfg)
 
 

@@ -25,6 +25,7 @@ from kinema.experiments.stages import companions_of, completions_of, get_stage, 
 from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.experiments.stages.judge import JudgeStage
 from kinema.locks import attempt
+from kinema.motion.skeleton import get_skeleton
 from kinema.registry import find_class
 from kinema.report.intervals import means
 from kinema.runs.console import console
@@ -105,6 +106,8 @@ def describe(cfg: DictConfig) -> Row:
     )
     identity = _identity(cfg, row, corpus)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
+    if "control" in identity:
+        what = f"control_{'_'.join(cfg.control.joints)}"
     if "perturb" in identity:
         what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
     if "oracle" in identity:
@@ -141,6 +144,8 @@ def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
     }
     if cfg.source == "generation" and cfg.task == "editing":
         identity["edit"] = plain(cfg.edit)
+    elif cfg.source == "generation" and cfg.task == "control":
+        identity["control"] = plain(cfg.control)
     elif cfg.source == "generation" and cfg.lengths != "real":
         identity["lengths"] = cfg.lengths
     if cfg.lift:
@@ -196,12 +201,10 @@ def tell_means(row: Row) -> None:
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
     _check_judges(cfg, row)
+    if cfg.task == "control":
+        _check_control(cfg)
     if cfg.source == "generation":
         build_sampling(cfg)
-    elif cfg.precision != "float32":
-        raise ValueError(
-            f"precision={cfg.precision} is how a generator computes, and source={cfg.source} has none; leave it out"
-        )
     store = PackedStore.open(open_corpus(cfg))
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)
@@ -246,6 +249,20 @@ def _check_reads(cfg: DictConfig, row: Row) -> None:
         stage.vocabulary(cfg)
     if cfg.source in ("generation", "nearest"):
         check_text(cfg)
+
+
+def _check_control(cfg: DictConfig) -> None:
+    """Check that the skeleton has the joints, and that the method can be told where they are."""
+    from kinema.experiments.groups import Control  # here: --help must not pay for torch
+    from kinema.tokenizers import MotionTokenizer
+
+    Control(**plain(cfg.control)).check_joints(get_skeleton(cfg.data.skeleton))
+    kind = find_class(cfg.tokenizer.model._target_)
+    if asked_for(cfg) is None and not (issubclass(kind, MotionTokenizer) and kind.holds_joints):
+        raise ValueError(
+            f"task=control holds joints in space, and the frames of method={cfg.method.name} (tokenizer="
+            f"{cfg.tokenizer.name}) hold none; choose a method in XYZ, such as method=msflow"
+        )
 
 
 def _check_judges(cfg: DictConfig, row: Row) -> None:

@@ -11,11 +11,22 @@ from omegaconf import DictConfig, OmegaConf
 from kinema.data.prepare import LIMITS, READERS, check_reader, prepare_store
 from kinema.data.synthetic.corpus import Clips
 from kinema.evaluation.settings import EvaluationProtocol
-from kinema.experiments.config import DIMS, EDITS, LENGTHS, ORACLES, PERTURBATIONS, SOURCES, SPACES, TASKS, plain
+from kinema.experiments.config import (
+    DENSITIES,
+    DIMS,
+    EDITS,
+    LENGTHS,
+    ORACLES,
+    PERTURBATIONS,
+    SOURCES,
+    SPACES,
+    TASKS,
+    plain,
+)
 from kinema.experiments.dashboards import MODES
 from kinema.experiments.stages import judges, stages
 from kinema.motion.representation import VARIANTS
-from kinema.motion.skeleton import SKELETONS
+from kinema.motion.skeleton import SKELETONS, Skeleton
 from kinema.nn.precision import PRECISIONS
 from kinema.options import Count, NonNegative, Number, OneOf, Options, Positive, Seed, Size, Threads, check, make
 from kinema.text import tokens, words
@@ -128,6 +139,22 @@ class Edit(Options):
 
 
 @dataclass(frozen=True)
+class Control(Options):
+    """Choose which joints a control evaluation holds in their places, and in how many frames."""
+
+    joints: Annotated[list[str], Len(1)]
+    density: Annotated[str, OneOf(DENSITIES)]
+
+    def check_joints(self, skeleton: Skeleton) -> None:
+        """Raise ValueError for a joint that the skeleton hasn't got."""
+        if unknown := [name for name in self.joints if name not in skeleton.joint_names]:
+            raise ValueError(
+                f"control.joints: {unknown[0]!r} is no joint of {skeleton.name}; it has "
+                f"{', '.join(skeleton.joint_names)}"
+            )
+
+
+@dataclass(frozen=True)
 class Perturb(Options):
     """Choose what `source=perturbed` does to real motion."""
 
@@ -165,6 +192,7 @@ GROUPS: dict[str, type[Options]] = {
     "debug": Debug,
     "paths": Paths,
     "edit": Edit,
+    "control": Control,
     "perturb": Perturb,
     "oracle": Oracle,
     "evaluators": Judges,

@@ -19,6 +19,7 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.changed import FeetLocked, Lifted
+from kinema.evaluation.controlled import Controlled
 from kinema.evaluation.oracle import Oracle
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
@@ -88,6 +89,7 @@ class Scorer:
             "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
             "oracle": plain(cfg.oracle) if cfg.source == "oracle" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
+            "control": plain(cfg.control) if cfg.task == "control" else None,
             "protocol": plain(cfg.scale.protocol),
             "seed": cfg.seed,
             "device": str(self.device),
@@ -169,6 +171,8 @@ class Scorer:
             model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)
             if cfg.task == "editing":
                 return sources.Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
+            if cfg.task == "control":
+                return Controlled(model, **plain(cfg.control), sampling=sampling)
             return sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
         ((part, run),) = row.subject.items()
         tokenizer = read_model(run, part).to(self.device)

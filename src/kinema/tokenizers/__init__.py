@@ -21,7 +21,8 @@ class MotionTokenizer(nn.Module, ABC):
     `space` says what it makes. `deterministic`: the same motion always has the same latents, so that they can be
     cached; if not, `encode` draws from its `generator`, and without one gives the likeliest. `copies`: latents are the
     motion's own numbers, which a cache would only multiply. `placed`: latents say where in space a motion stands, so
-    that they can't be laid one behind the other. `spec` rebuilds it.
+    that they can't be laid one behind the other. `holds_joints`: single joints of a frame can be known by their places
+    (`joint_numbers`). `spec` rebuilds it.
     """
 
     space: LatentSpace
@@ -29,6 +30,7 @@ class MotionTokenizer(nn.Module, ABC):
     deterministic: bool = True
     copies: bool = False
     placed: bool = False
+    holds_joints: bool = False
     spec: dict[str, Any] | None = None
 
     @property
@@ -88,6 +90,13 @@ class MotionTokenizer(nn.Module, ABC):
         """
         self.space.in_frames("regenerating a part of the body")
         return keep
+
+    def joint_numbers(self, keep: Bool[Tensor, "b t j"]) -> Bool[Tensor, "b t c"]:
+        """Say which numbers of its frames are the places of these joints; raises ValueError where none are."""
+        raise ValueError(
+            f"{type(self).__name__} holds no joints by their places; choose a method whose frames are joints, such as "
+            "method=msflow"
+        )
 
     def described(
         self,

@@ -23,6 +23,7 @@ class Joints(PlacedTokenizer):
     """
 
     copies = True
+    holds_joints = True
 
     @checked
     def __init__(
@@ -56,6 +57,10 @@ class Joints(PlacedTokenizer):
     def joints(self, values: Float[Tensor, "b n c"]) -> Float[Tensor, "b n j 3"]:
         """De-normalise frames."""
         return values.unflatten(2, (-1, 3)) * self.std + self._fitted(self.mean)
+
+    def joint_numbers(self, keep: Bool[Tensor, "b t j"]) -> Bool[Tensor, "b t c"]:
+        """Say which numbers are these joints': three each."""
+        return keep.repeat_interleave(3, dim=-1)
 
     def known_numbers(self, keep: Bool[Tensor, "b t d"]) -> Bool[Tensor, "b t c"]:
         """Say which joints stand where they stood: those all of whose columns are kept.
