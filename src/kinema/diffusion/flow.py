@@ -76,7 +76,7 @@ class Flow(nn.Module):
 
     def add_noise(self, x1: Float[Tensor, "n *d"], time: Tensor, noise: Float[Tensor, "n *d"]) -> Float[Tensor, "n *d"]:
         """Interpolate between scaled standard `noise` and data."""
-        time = _along(time, x1)
+        time = along(time, x1)
         return time * x1 + (1 - time) * (self.source_scale * noise)
 
     def progress(self, time: Tensor) -> float:
@@ -89,7 +89,7 @@ class Flow(nn.Module):
         """Return the squared errors of the velocity, to be averaged by `loss` or over what is no padding."""
         output = predict(self.add_noise(x1, time, noise), time)
         if self.prediction == "x1":
-            return ((output - x1) / (1 - _along(time, x1)).clamp(min=self.clamp)).square()
+            return ((output - x1) / (1 - along(time, x1)).clamp(min=self.clamp)).square()
         return (output - (x1 - self.source_scale * noise)).square()
 
     def loss(
@@ -147,7 +147,8 @@ class Flow(nn.Module):
         return x if clip is None else x.clamp(*clip)
 
 
-def _along(time: Tensor, x: Tensor) -> Tensor:
+def along(time: Tensor, x: Tensor) -> Tensor:
+    """View one time, or one for each sample, so that it is broadcast over samples like `x`."""
     return time.view((-1,) + (1,) * (x.ndim - 1))
 
 

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from kinema.diffusion.flow import along
 from kinema.diffusion.guidance import Predict
 
 SOLVERS = ("euler", "heun")
@@ -17,12 +18,12 @@ Times = Float[Tensor, " n"]
 
 def landed(x: Float[Tensor, "n *d"], clean: Float[Tensor, "n *d"], start: Times, end: Times) -> Float[Tensor, "n *d"]:
     """Step from x at `start` by the velocity (clean - x) / (1 - start); at the end 1 this is the clean data."""
-    return x + _along((end - start) / (1 - start), x) * (clean - x)
+    return x + along((end - start) / (1 - start), x) * (clean - x)
 
 
 def aimed(x: Float[Tensor, "n *d"], reached: Float[Tensor, "n *d"], start: Times, end: Times) -> Float[Tensor, "n *d"]:
     """Return the clean data by which a step from x ends at `reached`: what `landed` is undone by."""
-    return x + _along((1 - start) / (end - start), x) * (reached - x)
+    return x + along((1 - start) / (end - start), x) * (reached - x)
 
 
 def followed(
@@ -37,12 +38,8 @@ def followed(
         clean = predict(x, t)
         ahead = landed(x, clean, t, then)
         if solver == "heun":
-            share = _along((then - t) / (1 - then).clamp(min=1e-6), x)
+            share = along((then - t) / (1 - then).clamp(min=1e-6), x)
             both = (ahead + x + share * (predict(ahead, then) - ahead)) / 2
-            ahead = torch.where(_along(then, x) < 1, both, ahead)
+            ahead = torch.where(along(then, x) < 1, both, ahead)
         x = ahead
     return x
-
-
-def _along(time: Tensor, x: Tensor) -> Tensor:
-    return time.view((-1,) + (1,) * (x.ndim - 1))
