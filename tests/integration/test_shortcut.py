@@ -74,6 +74,9 @@ def test_it_is_opened_as_its_generator_and_resumes_to_the_same_weights(overrides
     assert model.generator.sampling == ShortcutSampling(steps=4, holding="projection", renewal=0.5)
     alone = TextToMotion.from_run(upstream(run.path)["generator"], device="cpu")
     assert type(alone.generator.sampling) is FrameSampling
+    named = describe(compose([*overrides, METHOD, f"run={run.path}"], "evaluate"))  # as `kinema evaluate run=` says it
+    assert named.beside["shortcut"].resolve() == run.path.resolve()
+    assert named.subject["generator"].resolve() == upstream(run.path)["generator"].resolve()
     both = TextToMotion.from_run(upstream(run.path)["generator"], device="cpu", shortcut=run.path)
     first, second = (m.generate("a person walks", 40, seed=1)[0] for m in (model, both))
     assert (first.features == second.features).all()

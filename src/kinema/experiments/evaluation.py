@@ -225,8 +225,11 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
 
 def _check_method(cfg: DictConfig) -> None:
     """Check that the configuration's method is that of the run that `run=` names: its sampling is the method's."""
-    run = asked_for(cfg)
-    if run is None or cfg.source != "generation" or not RunFolder(run).weights.is_file():
+    if cfg.source != "generation":
+        return
+    (scored,) = (stage for stage in stages().values() if stage.scored(cfg))
+    run = scored.given(cfg)
+    if run is None or not RunFolder(run).weights.is_file():
         return  # its absence is told where it is read
     from kinema.runs.weights import read_meta  # here: --help must not pay for torch
 

@@ -12,12 +12,14 @@ from kinema.runs.parts import upstream
 
 
 def spent(place: Row) -> dict[str, float]:
-    """Return STAGE_parameters_m (millions) and STAGE_trained_k (thousands) of the run that is scored and its parts.
+    """Return STAGE_parameters_m (millions) and STAGE_trained_k (thousands) of what is scored: of every stage a run.
 
-    Trained rows are optimiser steps times the batch of all ranks: clips of a generator, windows of a tokenizer. A run
-    that needed no training has 0; an imported one doesn't say.
+    What stands beside it, such as a shortcut that was tuned from it, is among them. Trained rows are optimiser steps
+    times the batch of all ranks: clips of a generator, windows of a tokenizer. A run that needed no training has 0; an
+    imported one doesn't say.
     """
     runs = {name: path for run in place.subject.values() for name, path in upstream(run).items()} | place.subject
+    runs |= {name: run for name, run in place.beside.items() if run is not None}
     found: dict[str, float] = {}
     for name, run in runs.items():
         status = RunFolder(run).status

@@ -47,8 +47,9 @@ class GeneratorStage(ConditionedStage):
         super().check(cfg, store)
 
     def given(self, cfg: DictConfig) -> Path | None:
-        """Return the run that `run=` names."""
-        return asked_for(cfg)
+        """Return the run that `run=` names, or that which it was tuned from (of a shortcut)."""
+        run = asked_for(cfg)
+        return None if run is None else upstream(run).get(self.name, run)
 
     def scored(self, cfg: DictConfig) -> bool:
         """Generated motion is what tables are about."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
@@ -10,11 +11,12 @@ from kinema.data.store import PackedStore
 from kinema.devices import find_device
 from kinema.experiments.config import plain
 from kinema.experiments.instantiate import read_model
-from kinema.experiments.stages.base import dims
+from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.experiments.stages.generator import GeneratorStage
 from kinema.runs.build import build
 from kinema.runs.folder import RunFolder
+from kinema.runs.parts import upstream
 
 if TYPE_CHECKING:
     from kinema.training.modules import GeneratorModule
@@ -28,6 +30,11 @@ class ShortcutStage(ConditionedStage):
     node = "shortcut"
     needs = ("tokenizer", "generator")
     completes = ("generator",)
+
+    def given(self, cfg: DictConfig) -> Path | None:
+        """Return the run that `run=` names, if that was tuned from a generator, or what stands beside it."""
+        run = asked_for(cfg)
+        return run if run is not None and GeneratorStage.name in upstream(run) else super().given(cfg)
 
     def label(self, cfg: DictConfig) -> str:
         """Name the method, which its generator's run may share with others, and its dims."""
