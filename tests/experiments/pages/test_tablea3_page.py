@@ -66,6 +66,18 @@ def test_warm_up_is_not_counted_and_calls_are_those_of_one_batch(micro_tables):
         measure_latency(model, asked.texts, asked.lengths.tolist(), batch=5)
 
 
+def test_texts_are_encoded_anew_in_every_batch_and_not_looked_up(micro, monkeypatch):
+    cfg = compose([*micro, "method=mdm"], "evaluate")
+    store = PackedStore.open(open_corpus(cfg))
+    asked = read_motions(store, "test", 4)
+    model, encoded = untrained(cfg, store, asked), []
+    kind, encode = type(model.text_encoder), type(model.text_encoder).__call__
+    monkeypatch.setattr(kind, "__call__", lambda own, texts: encoded.append(list(texts)) or encode(own, texts))
+    for _ in range(2):
+        measure_latency(model, asked.texts, asked.lengths.tolist(), batch=2, warmup=0)
+    assert encoded == [asked.texts[:2], asked.texts[2:]] * 2
+
+
 def test_latents_and_their_decoding_are_a_sample(micro):
     cfg = compose([*micro, "method=mardm_sit"], "evaluate")
     store = PackedStore.open(open_corpus(cfg))

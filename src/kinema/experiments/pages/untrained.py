@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
 from kinema.devices import find_device
-from kinema.experiments.instantiate import read_model, text_encoder
+from kinema.experiments.instantiate import read_model
 from kinema.experiments.run import run_stage
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.fitted import FittedStage
@@ -18,6 +18,7 @@ from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.experiments.training import initial_model
 from kinema.pipeline import TextToMotion
+from kinema.text.encoders import build_text_encoder
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import Latents, MotionBatch
 
@@ -32,7 +33,8 @@ def untrained(cfg: DictConfig, store: PackedStore, motions: MotionBatch) -> Text
     generator.prepare(tokenizer, EncodedMotions(tokenizer, motions))
     parts = {name: _part(name, cfg, store) for name in generator.parts if get_stage(name).present(cfg)}
     device = find_device(cfg.trainer.accelerator)
-    return TextToMotion(tokenizer, generator, text_encoder(cfg, device), parts).to(device)
+    encoder = build_text_encoder(cfg.text.name, path=cfg.text.path, device=device)  # a cache would hide what it takes
+    return TextToMotion(tokenizer, generator, encoder, parts).to(device)
 
 
 @dataclass(frozen=True)
