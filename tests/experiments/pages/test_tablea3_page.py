@@ -66,8 +66,8 @@ def test_warm_up_is_not_counted_and_calls_are_those_of_one_batch(micro_tables):
         measure_latency(model, asked.texts, asked.lengths.tolist(), batch=5)
 
 
-def test_texts_are_encoded_anew_in_every_batch_and_not_looked_up(micro, monkeypatch):
-    cfg = compose([*micro, "method=mdm"], "evaluate")
+def test_texts_are_encoded_anew_in_every_batch_and_not_looked_up(micro_tables, monkeypatch):
+    cfg = compose([*micro_tables, "method=mdm"], "evaluate")
     store = PackedStore.open(open_corpus(cfg))
     asked = read_motions(store, "test", 4)
     model, encoded = untrained(cfg, store, asked), []
