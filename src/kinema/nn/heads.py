@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from jaxtyping import Float
+import torch
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -38,10 +39,16 @@ class Projections(nn.Module):
             query, key = rotary(query, rows.place, base), rotary(key, rows.place, base)
         return _padded(query, rows), _padded(key, rows), _padded(value, rows)
 
-    def across(self, x: Float[Tensor, "m w"], rows: Rows, context: Float[Tensor, "l w"], others: Rows) -> Heads:
-        """Make queries of `x`, keys and values of the context."""
-        (query,), (key, value) = self._heads(x, 0, 1), self._heads(context, 1, 3)
-        return _padded(self.query_norm(query), rows), _padded(self.key_norm(key), others), _padded(value, others)
+    def held(self, context: Float[Tensor, "m w"], others: Rows) -> Float[Tensor, "b l k"]:
+        """Make the keys and values of a context, side by side, padded."""
+        key, value = self._heads(context, 1, 3)
+        return others.pad(torch.cat((self.key_norm(key), value), dim=1).flatten(1))
+
+    def across(self, x: Float[Tensor, "m w"], rows: Rows, held: Float[Tensor, "b l e"]) -> Heads:
+        """Make queries of `x`; keys and values are those that a context holds."""
+        (query,) = self._heads(x, 0, 1)
+        key, value = held.unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
+        return _padded(self.query_norm(query), rows), key, value
 
     def join(self, attended: Float[Tensor, "b h n d"], rows: Rows) -> Float[Tensor, "m w"]:
         """Lay the heads of each row side by side and project."""
@@ -54,7 +61,10 @@ class Projections(nn.Module):
 
 
 class CrossAttention(nn.Module):
-    """Normalise rows and attend to a context; closed at the start."""
+    """Normalise rows and attend to a context; closed at the start.
+
+    What rows ask of the context doesn't depend on them: `read` makes it once for all that attend to it.
+    """
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -67,12 +77,16 @@ class CrossAttention(nn.Module):
         nn.init.zeros_(self.attention.proj.weight)
         nn.init.zeros_(self.attention.proj.bias)
 
+    def read(self, context: Float[Tensor, "m w"], others: Rows) -> Float[Tensor, "b l k"]:
+        """Return the keys and values of a context."""
+        return self.attention.held(context, others)
+
     def forward(
-        self, x: Float[Tensor, "m w"], rows: Rows, context: Float[Tensor, "l w"], others: Rows
+        self, x: Float[Tensor, "m w"], rows: Rows, held: Float[Tensor, "b l e"], seen: Bool[Tensor, "b l"]
     ) -> Float[Tensor, "m w"]:
-        """Read the context."""
-        heads = self.attention.across(self.norm(x), rows, context, others)
-        attended = F.scaled_dot_product_attention(*heads, attn_mask=others.real[:, None, None])
+        """Attend to those of a context that `read` made, where `seen` shows them."""
+        heads = self.attention.across(self.norm(x), rows, held)
+        attended = F.scaled_dot_product_attention(*heads, attn_mask=seen[:, None, None])
         return self.attention.join(attended, rows)
 
 

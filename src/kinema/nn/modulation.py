@@ -57,5 +57,6 @@ class AdaLNBlock(nn.Module):
                 Rows(torch.ones_like(held[..., 0], dtype=torch.bool) if shown is None else shown)
                 for held, shown in ((x, mask), (context, context_mask))
             )
-            x = x + rows.pad(self.cross(rows.pack(x), rows, others.pack(context), others))
+            held = self.cross.read(others.pack(context), others)
+            x = x + rows.pad(self.cross(rows.pack(x), rows, held, others.real))
         return x + gate2 * self.mlp(modulate(self.norm(x), shift2, scale2))

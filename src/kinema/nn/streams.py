@@ -154,15 +154,15 @@ class CrossBlock(nn.Module):
         rows: Rows,
         condition: Float[Tensor, "b c"],
         mask: Bool[Tensor, "b 1 #q k"],
-        context: Float[Tensor, "l w"] | None = None,
-        others: Rows | None = None,
+        held: Float[Tensor, "b l e"] | None = None,
+        seen: Bool[Tensor, "b l"] | None = None,
         *,
         base: float = BASE,
     ) -> Float[Tensor, "m w"]:
-        """Transform `x`; `mask`, True = may be seen, is over its own positions."""
+        """Transform `x`; `mask`, True = may be seen, is over its own positions; `held` is what `cross` read."""
         part, ways = self.stream, self.stream.modulation(condition, rows)
         heads = part.attention.split(modulate(part.norm1(x), ways[0], ways[1]), rows, base=base)
         x = part.attended(x, F.scaled_dot_product_attention(*heads, attn_mask=mask), rows, ways)
-        if self.cross is not None and context is not None and others is not None:
-            x = x + self.cross(x, rows, context, others)
+        if self.cross is not None and held is not None and seen is not None:
+            x = x + self.cross(x, rows, held, seen)
         return part.transformed(x, ways)

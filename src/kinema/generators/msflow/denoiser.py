@@ -25,9 +25,9 @@ class MsflowDenoiser(Denoiser):
 
     `text_attention`: "joint" lets two streams attend to each other, "cross" lets motion attend to the words. Before
     that, `refiner_layers` let the words attend to each other, under the time if the refiner is timed: else they, and
-    with "cross" all that motion reads of the text, are the same for all times, and a sampler pays for them once. `mask`
-    "causal" hides later blocks of `mask_block` tokens. `null_tokens` learnt tokens stand in front of the words (0:
-    none), so that a text without words is these alone, whatever its length was. `shared_modulation` reads shifts,
+    with "cross" the keys and values of every block, are the same for all times, and a sampler pays for them once.
+    `mask` "causal" hides later blocks of `mask_block` tokens. `null_tokens` learnt tokens stand in front of the words
+    (0: none), so that a text without words is these alone, whatever its length was. `shared_modulation` reads shifts,
     scales and gates once for all blocks.
     """
 
@@ -56,7 +56,7 @@ class MsflowDenoiser(Denoiser):
         self.motion_out = nn.Linear(width, patch * frame_dim)
         self.words = Words(token_dim, width, null_tokens)
         self.refiner = Refiner(width, heads, refiner_layers, timed=refiner_timed) if refiner_layers else None
-        self.refines_once = self.refiner is not None and not refiner_timed
+        self.refines_once = not refiner_layers or not refiner_timed
         self.time = nn.Sequential(nn.Linear(FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
         self.pooled = nn.Linear(width, width)
         self.joint = text_attention == TEXT_ATTENTION[0]
@@ -83,15 +83,21 @@ class MsflowDenoiser(Denoiser):
                 nn.init.zeros_(last.weight)
 
     def read(self, text: TextFeatures) -> Read:
-        """Read each word, behind the learnt tokens if there are any."""
+        """Read each word, behind the learnt tokens if there are any; behind its numbers stands what blocks ask of it.
+
+        That is keys and values of every block, where they are the same at all times.
+        """
         words, mask = self.words(text)
-        return (self.refiner(words, mask) if self.refiner is not None and self.refines_once else words), mask
+        if not self.refines_once:
+            return words, mask
+        words = words if self.refiner is None else self.refiner(words, mask)
+        return (words if self.joint else torch.cat((words, self._held(words, Rows(mask))), dim=-1)), mask
 
     def forward(
         self,
         x: Float[Tensor, "b t d"],
         time: Tensor,
-        condition: Float[Tensor, "b l w"],
+        condition: Float[Tensor, "b l k"],
         seen: Bool[Tensor, "b l"] | None = None,
         real: Bool[Tensor, "b t"] | None = None,
         step: Float[Tensor, "n w"] | None = None,
@@ -105,26 +111,36 @@ class MsflowDenoiser(Denoiser):
         shown = torch.ones_like(x[..., 0], dtype=torch.bool) if real is None else real
         # A token of several frames may hold padding beside the motion's last frames.
         x = F.pad(x * shown[..., None], (0, 0, 0, -frames % self.patch))
-        text = condition if self.refiner is None or self.refines_once else self.refiner(condition, words, time)
+        text, held = condition[..., : self.width], condition[..., self.width :]
+        if self.refiner is not None and not self.refines_once:
+            text = self.refiner(text, words, time)
         moment = self._embed_time(time) if step is None else self._embed_time(time) + step
         c = F.silu(moment + self.pooled(masked_mean(text, words)))
         c = c if self.modulation is None else self.modulation(c)
-        rows, others = Rows(shown[:, :: self.patch]), Rows(words)
+        rows = Rows(shown[:, :: self.patch])
         motion = self.motion_in(rows.pack(x.unflatten(1, (-1, self.patch)).flatten(2)))
-        motion = self.motion_out(self._attend(motion, rows, others.pack(text), others, c))
-        return rows.pad(motion).unflatten(2, (self.patch, -1)).flatten(1, 2)[:, :frames]
-
-    def _attend(self, motion: Tensor, rows: Rows, text: Tensor, words: Rows, c: Tensor) -> Float[Tensor, "m w"]:
-        mask = sees(words.real, rows.real, causal=self.causal, block=self.mask_block)
+        mask = sees(words, rows.real, causal=self.causal, block=self.mask_block)
         if self.joint:
-            for block in self.blocks:
-                motion, text = block(motion, rows, text, words, c, mask)
-            return motion
-        size = words.real.shape[1]
-        own = mask[:, :, size:, size:] if self.causal else mask[..., size:]
+            motion = self._beside(motion, rows, text, Rows(words), c, mask)
+        else:
+            size = words.shape[1]
+            own = mask[:, :, size:, size:] if self.causal else mask[..., size:]
+            held = held if self.refines_once else self._held(text, Rows(words))
+            for block, part in zip(self.blocks, held.chunk(len(self.blocks), dim=-1), strict=True):
+                motion = block(motion, rows, c, own, part, words)
+        return rows.pad(self.motion_out(motion)).unflatten(2, (self.patch, -1)).flatten(1, 2)[:, :frames]
+
+    def _beside(self, motion: Tensor, rows: Rows, text: Tensor, words: Rows, c: Tensor, mask: Tensor) -> Tensor:
+        text = words.pack(text)
         for block in self.blocks:
-            motion = block(motion, rows, c, own, text, words)
+            motion, text = block(motion, rows, text, words, c, mask)
         return motion
+
+    def _held(self, text: Float[Tensor, "b l w"], words: Rows) -> Float[Tensor, "b l k"]:
+        """Let every block read the words."""
+        packed = words.pack(text)
+        crosses = (block.cross for block in self.blocks if isinstance(block, CrossBlock))
+        return torch.cat([cross.read(packed, words) for cross in crosses if cross is not None], dim=-1)
 
     def _embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
         """Embed a single time (one row, broadcast later) or one time per row, unscaled."""
