@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.evaluation.sources import Edited
 from kinema.experiments.config import CONF
 from kinema.experiments.database import build_database
 from kinema.experiments.stages import get_stage
@@ -183,5 +184,9 @@ def test_products_in_bfloat16_give_nearly_the_same_motion_and_are_not_saved(make
     if generator.space.kind != "codes":  # another code than before is another motion from there on
         for one, other in zip(whole, short, strict=True):
             assert np.abs(one.features - other.features).mean() < 0.1 * one.features.std()
+    clips = workshop.clips(3)
+    if in_time(model):  # as tables score an edit: parts are called by themselves
+        edited = Edited(model, task="prefix")(clips, torch.arange(3))
+        assert edited.features.isfinite().all()
     with pytest.raises(ValueError, match="weights were cast to bfloat16; load it again"):
         model.save(tmp_path / "saved")

@@ -281,7 +281,8 @@ class Edited(Source):
         """Edit every motion to its own caption."""
         tokenizer = self.model.tokenizer
         keep = task_slots(self.task, tokenizer.space.latents_of(batch.lengths))
-        known = encode_kept(tokenizer, batch, keep)
+        with self.model.computing():
+            known = encode_kept(tokenizer, batch, keep)
         text = encode_captions(self.text_encoder, batch)
         made = self.model.sample(text, seeds=seeds, known=known, sampling=self.sampling)
         if self.paste:

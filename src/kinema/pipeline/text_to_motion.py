@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import fields, replace
 from typing import Any, cast
 
@@ -81,8 +81,8 @@ class TextToMotion(Portable):
     def bfloat16(self) -> TextToMotion:
         """Generate with products in bfloat16 from now on, of weights that are cast once: about half their memory.
 
-        Sums, norms, the steps of a sampler and the text encoder stay in fp32. On a CPU without bfloat16 products it is
-        slower (docs/evaluation.md). Such a model can't be saved: load it again for that.
+        Sums, norms, the steps of a sampler and the text encoder stay in fp32. What it gives depends on the machine
+        (docs/frontier.md). Such a model can't be saved: load it again for that.
         """
         for module in self._modules():
             cast_products(module)
@@ -107,8 +107,12 @@ class TextToMotion(Portable):
 
     def decode(self, latents: Latents) -> MotionBatch:
         """Decode to de-normalised motion."""
-        with computing(self.precision, self.device):
+        with self.computing():
             return self.tokenizer.decode(latents)
+
+    def computing(self) -> AbstractContextManager[object]:
+        """Compute in the model's precision: around whatever calls its parts by themselves."""
+        return computing(self.precision, self.device)
 
     def sample_latents(
         self,
@@ -120,10 +124,10 @@ class TextToMotion(Portable):
         sampling: Any | None = None,
     ) -> Latents:
         """Generate what `sample` decodes."""
-        if frames is None and known is None and not self.generator.predicts_length:
-            frames = self._estimated(text, seeds)
-        asked = None if frames is None else self.generator.space.whole(frames).to(self.device)
-        with computing(self.precision, self.device):
+        with self.computing():
+            if frames is None and known is None and not self.generator.predicts_length:
+                frames = self._estimated(text, seeds)
+            asked = None if frames is None else self.generator.space.whole(frames).to(self.device)
             latents = self.generator.sample(text.to(self.device), asked, seeds=seeds, known=known, sampling=sampling)
         return latents if frames is None else replace(latents, frames=frames.to(self.device))
 
@@ -309,7 +313,7 @@ class TextToMotion(Portable):
     def _inference(self) -> Iterator[None]:
         """Switch all parts to inference, and back: a model in training may be asked for samples."""
         with ExitStack() as stack:
-            stack.enter_context(computing(self.precision, self.device))
+            stack.enter_context(self.computing())
             for module in self._modules():
                 stack.enter_context(inference(module))
             yield
