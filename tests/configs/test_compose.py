@@ -440,7 +440,8 @@ REMODIFFUSE = {
 LATENT_FLOW = under("generator.model", unit=2, patch=2) | {"generator.model.process.clamp": 0.2}
 LATENT_FLOW |= under("tokenizer.model", width=512, latent_dim=256, down_levels=1)
 SHORTCUT = {
-    **under("shortcut.model", finest=8, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2, solver="euler"),
+    **under("shortcut.model", finest=8, counts=None, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2),
+    "shortcut.model.solver": "euler",
     **under("shortcut.train", epochs=50, warmup=500, decay="cosine", ema=0.999),
     "shortcut.sampling.steps": 4,
 }

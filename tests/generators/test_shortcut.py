@@ -184,6 +184,26 @@ def test_all_levels_and_intervals_are_drawn():
     assert found == {(0, 0, 1), (0, 1, 2), (0, 2, 3), (0, 3, 4), (1, 0, 2), (1, 2, 4), (2, 0, 4)}
 
 
+def test_the_levels_of_some_counts_alone_are_drawn_and_sampled():
+    drawn = ShortcutDraws.draw(
+        (400, 1, 1), teacher_share=1.0, generator=torch.Generator().manual_seed(0), device=torch.device("cpu")
+    )
+    model = make(finest=8, counts=[1, 4])
+    level, first, last = model._intervals(drawn)
+    found = set(zip(level.tolist(), first.tolist(), last.tolist(), strict=True))
+    assert found == {(1, 0, 2), (1, 2, 4), (1, 4, 6), (1, 6, 8), (3, 0, 8)}
+    assert model.sampling.steps == 1
+    attached(model).check_sampling(ShortcutSampling(steps=4))
+    with pytest.raises(ValueError, match=r"steps=2 is none of the numbers of steps that were learnt: 1, 4"):
+        attached(model).check_sampling(ShortcutSampling(steps=2))
+    with pytest.raises(ValueError, match=r"3 steps are not of a grid of 8; halving it leaves 8, 4, 2, 1"):
+        make(counts=[3])
+    for counts in ([2], [8, 2]):
+        with pytest.raises(ValueError, match=r"teacher_share=0\.5 .* must be 8 and all halves of it"):
+            make(counts=counts, teacher_share=0.5)
+    make(counts=[4, 8], teacher_share=0.5)
+
+
 def test_padding_never_reaches_the_loss():
     model, clean = make(), latents()
     garbage = replace(clean, values=torch.where(clean.mask[..., None], clean.values, 1e6))

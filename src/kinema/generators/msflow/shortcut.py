@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, cast
 
 import torch
+from annotated_types import Len
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
@@ -73,9 +74,10 @@ class Shortcut(LatentModel):
 
     A copy of a trained MSFlow with one more input, the level: how many steps the whole way has, `finest` or a half, a
     quarter, ... of it, down to one. A level's times are every second one of the next finer level's, so that a step is
-    two of its. A step learns where the frozen teacher gets under `guidance`, by `substeps` of its `solver` in each of
-    the finest steps that it spans. With a `teacher_share` below 1 the others learn, but for the finest level, where two
-    of the network's own steps of the next finer level get, as published: cheaper, but it may chase itself and diverge.
+    two of its. The levels of `counts` steps are learnt (None: all of them), each the better the fewer they are. A step
+    learns where the frozen teacher gets under `guidance`, by `substeps` of its `solver` in each of the finest steps of
+    its span. With a `teacher_share` below 1 the others learn, but for the finest level, where two of the network's own
+    steps of the next finer level get, as published: cheaper, but it may chase itself and diverge.
 
     The loss is the squared error of the clean motion, unweighted. Of a step from signal over noise r to r', an error e
     moves what the state says of the motion, x / t, by (1 - r / r') e: by as much on every interval of the grid
@@ -88,6 +90,7 @@ class Shortcut(LatentModel):
         *,
         generator: SequenceDiffusion,
         finest: MOST_STEPS = 8,
+        counts: Annotated[Sequence[Steps], Len(1)] | None = None,
         grid: SolverGrid = "emergence",
         guidance: NonNegative = 3.0,
         teacher_share: Share = 1.0,
@@ -113,8 +116,14 @@ class Shortcut(LatentModel):
         self.substeps, self.solver = substeps, solver
         self.level = nn.Embedding(finest.bit_length(), denoiser.width)
         nn.init.zeros_(self.level.weight)
+        self.learnt = tuple(map(self.level_of, counts)) if counts is not None else tuple(range(finest.bit_length()))
+        if teacher_share < 1 and sorted(self.learnt) != list(range(max(self.learnt) + 1)):
+            raise ValueError(
+                f"counts={list(counts or ())}: with teacher_share={teacher_share} a step learns from two of the next "
+                f"finer level, so they must be {finest} and all halves of it down to the least; or use teacher_share=1"
+            )
         self._teacher: tuple[SequenceDiffusion, ...] = ()  # a tuple: no submodule, so neither saved nor trained here
-        self.sampling = sampling or ShortcutSampling(steps=min(4, finest))
+        self.sampling = sampling or ShortcutSampling(steps=finest >> self.learnt[0])
         self.check_sampling(self.sampling)
 
     @property
@@ -141,7 +150,14 @@ class Shortcut(LatentModel):
 
     def check_sampling(self, sampling: ShortcutSampling) -> None:
         """Raise ValueError for a number of steps that was not learnt."""
-        nested(self.times, sampling.steps)
+        if self.level_of(sampling.steps) not in self.learnt:
+            counts = ", ".join(str(self.finest >> level) for level in self.learnt)
+            raise ValueError(f"steps={sampling.steps} is none of the numbers of steps that were learnt: {counts}")
+
+    def level_of(self, steps: int) -> int:
+        """Say on which level the whole way has so many steps; raises ValueError where none has."""
+        nested(self.times, steps)
+        return (self.finest // steps).bit_length() - 1
 
     def check_generator(self, generator: SequenceDiffusion) -> None:
         """Raise ValueError for a generator of another size or flow than the one that this network starts from."""
@@ -239,8 +255,8 @@ class Shortcut(LatentModel):
 
     def _intervals(self, draws: ShortcutDraws) -> tuple[Int[Tensor, " b"], Int[Tensor, " b"], Int[Tensor, " b"]]:
         """Return each sample's level (0: the finest) and where on the finest grid its step starts and ends."""
-        levels = self.level.num_embeddings
-        level = (draws.level * levels).long().clamp(max=levels - 1)
+        learnt = torch.tensor(self.learnt, device=draws.level.device)
+        level = learnt[(draws.level * len(learnt)).long().clamp(max=len(learnt) - 1)]
         size = 2**level
         steps = self.finest // size
         first = (draws.interval * steps).long().clamp(max=steps - 1) * size
@@ -273,7 +289,7 @@ class Shortcut(LatentModel):
     ) -> Float[Tensor, "b n c"]:
         """Take noise to motion in a few steps; what is `known` (values, mask) is held on the way."""
         times = nested(self.times, sampling.steps)
-        level = torch.tensor([(self.finest // sampling.steps).bit_length() - 1], device=self.level.weight.device)
+        level = torch.tensor([self.level_of(sampling.steps)], device=self.level.weight.device)
         return self.process.sample(
             self.predictor(text, level, shown),
             noise,
