@@ -1,4 +1,4 @@
-"""Measure what holding feet does, by the speed below which a low toe stands: how `SLOW` of motion/feet.py was chosen.
+"""Measure what holding feet does and takes, by the speed below which a low toe stands: how `SLOW` was chosen.
 
     python benchmarks/lock_feet.py [--store STORE] [--run RUN] [--clips 96] [--slow 0.5 0.7 0.9 1.2]
 
@@ -9,6 +9,7 @@ of their lengths is measured too. Without one, the clips are measured again with
 from __future__ import annotations
 
 import argparse
+import time
 
 import numpy as np
 import torch
@@ -16,7 +17,7 @@ import torch
 from kinema.data.store import PackedStore
 from kinema.data.synthetic import synthetic_catalog
 from kinema.motion import feet
-from kinema.motion.cleaning import UNITS, Held, floor_of
+from kinema.motion.cleaning import UNITS, Held, floor_of, lock_rows
 from kinema.motion.features import extract
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import HUMANML3D
@@ -49,13 +50,17 @@ def slid(source: Motion) -> Motion:
 
 
 def tell(name: str, motions: list[Motion], slow: float | None) -> None:
-    """Print the means over motions, before (slow None) or after."""
+    """Print the means over motions, before (slow None) or after, with what holding the rows of one takes."""
     feet.SLOW = feet.SLOW if slow is None else slow
     held = [Held.of(one, floor_of(one)) for one in motions]
     figures = [one.figures(one.before if slow is None else one.after) for one in held]
     means = " ".join(f"{key} {np.mean([f[key] for f in figures]):.2f} {unit}" for key, unit in UNITS.items())
-    moved = "" if slow is None else f"; moved {np.mean([one.farthest for one in held]):.1f} cm, mean of the farthest"
-    print(f"{name:<10}{'before' if slow is None else f'{slow:g} m/s':<9}{means}{moved}")
+    began = time.process_time()
+    for one in motions:
+        lock_rows(one.features, HUMANML3D)
+    took = f"; {1e3 * (time.process_time() - began) / len(motions):.2f} ms a motion"
+    moved = f"; moved {np.mean([one.farthest for one in held]):.1f} cm, mean of the farthest{took}"
+    print(f"{name:<10}{'before' if slow is None else f'{slow:g} m/s':<9}{means}{'' if slow is None else moved}")
 
 
 def main() -> None:

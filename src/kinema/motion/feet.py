@@ -55,23 +55,20 @@ def legs(skeleton: Skeleton) -> tuple[Leg, Leg]:
 def lock_feet(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton, fps: float) -> Float[np.ndarray, "t j 3"]:
     """Return the motion with feet that stand held still; joints in the skeleton's unit, the floor at y = 0."""
     moved = np.array(joints, dtype=np.float64) * skeleton.meters
-    for leg in legs(skeleton):
-        standing = contacts(moved[:, leg.toe], fps)
-        shift = _shift(moved[:, leg.toe], standing, fps)
-        # A toe is never below the floor, and clear of it where it moves on.
-        shift[:, 1] = np.maximum(0, _clearance(standing, fps) - moved[:, leg.toe, 1])
-        foot = moved[:, leg.toe] - moved[:, leg.ankle]
-        wanted = moved[:, leg.ankle] + shift
-        moved[:, leg.knee], moved[:, leg.ankle] = _bend(
-            moved[:, leg.hip], moved[:, leg.knee], moved[:, leg.ankle], wanted
-        )
-        moved[:, leg.toe] = moved[:, leg.ankle] + foot
+    both = legs(skeleton)
+    hips, knees, ankles, toes = ([getattr(leg, name) for leg in both] for name in ("hip", "knee", "ankle", "toe"))
+    shift = np.stack([_shifts(moved[:, toe], fps) for toe in toes], axis=1)
+    foot = moved[:, toes] - moved[:, ankles]
+    moved[:, knees], moved[:, ankles] = _bend(
+        moved[:, hips], moved[:, knees], moved[:, ankles], moved[:, ankles] + shift
+    )
+    moved[:, toes] = moved[:, ankles] + foot
     return moved / skeleton.meters
 
 
 def contacts(toe: Float[np.ndarray, "t 3"], fps: float) -> Bool[np.ndarray, " t"]:
     """Tell in which frames a toe stands."""
-    speed = np.linalg.norm(np.gradient(toe[:, [0, 2]], axis=0), axis=-1) * fps if len(toe) > 1 else np.zeros(1)
+    speed = _over_floor(np.gradient(toe, axis=0)) * fps if len(toe) > 1 else np.zeros(1)
     standing = (toe[:, 1] < LOW) & (speed < SLOW)
     standing = ~_without_short(~standing, round(GAP * fps) + 1, inside=True)
     for start, end in runs(standing):
@@ -81,7 +78,7 @@ def contacts(toe: Float[np.ndarray, "t 3"], fps: float) -> Bool[np.ndarray, " t"
 
 def _step(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"], start: int, end: int, fps: float) -> None:
     """Let a toe that stands too far from its place step in the middle of its contact, and in the halves' middles."""
-    away = np.linalg.norm((toe[start:end] - np.median(toe[start:end], axis=0))[:, [0, 2]], axis=-1)
+    away = _over_floor(toe[start:end] - _median(toe[start:end]))
     size, middle = round(STEP * fps), (start + end) // 2
     if away.max() <= FAR or end - start < size + 2 * round(SHORTEST * fps):
         return
@@ -93,14 +90,15 @@ def _step(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"], start
 
 def drift(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"]) -> list[float]:
     """Return how far a toe comes from where it began to stand, over the floor, of each contact."""
-    found = [toe[start:end, [0, 2]] - toe[start, [0, 2]] for start, end in runs(standing)]
-    return [float(np.linalg.norm(away, axis=-1).max()) for away in found]
+    return [float(_over_floor(toe[start:end] - toe[start]).max()) for start, end in runs(standing)]
 
 
 def runs(flags: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:
     """List the runs of true frames, [start, end)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    outside = np.zeros(len(flags) + 2, dtype=bool)
+    outside[1:-1] = flags
+    edges = np.flatnonzero(outside[1:] != outside[:-1]).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _without_short(flags: Bool[np.ndarray, " t"], shortest: int, *, inside: bool = False) -> Bool[np.ndarray, " t"]:
@@ -112,13 +110,21 @@ def _without_short(flags: Bool[np.ndarray, " t"], shortest: int, *, inside: bool
     return kept
 
 
+def _shifts(toe: Float[np.ndarray, "t 3"], fps: float) -> Float[np.ndarray, "t 3"]:
+    """Say by how much the foot moves in each frame: as `_shift` says, up off the floor and clear of it between."""
+    standing = contacts(toe, fps)
+    shift = _shift(toe, standing, fps)
+    shift[:, 1] = np.maximum(0, _clearance(standing, fps) - toe[:, 1])
+    return shift
+
+
 def _shift(toe: Float[np.ndarray, "t 3"], standing: Bool[np.ndarray, " t"], fps: float) -> Float[np.ndarray, "t 3"]:
     """Say by how much the foot moves in each frame, horizontally: to its place in contacts, by parts around them."""
     shift, size, blend = np.zeros_like(toe), len(toe), max(round(BLEND * fps), 1)
     found, hold = runs(standing), round(HOLD * fps)
     held = [(max(start - hold, 0), min(end + hold, size)) for start, end in found]
     for (start, end), (first, last) in zip(found, held, strict=True):
-        place = np.median(toe[start:end], axis=0)
+        place = _median(toe[start:end])
         shift[first:last] = (place - toe[first:last]) * [1, 0, 1]
     edges = [(0, 0), *held, (size, size)]
     for (_, left), (right, _) in pairwise(edges):
@@ -144,27 +150,38 @@ def _clearance(standing: Bool[np.ndarray, " t"], fps: float) -> Float[np.ndarray
 
 def _ease(share: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     """Start and end gently: 0 and below give 0, 1 gives 1."""
-    share = np.clip(share, 0, 1)
+    share = np.minimum(np.maximum(share, 0), 1)
     return share * share * (3 - 2 * share)
 
 
+def _over_floor(way: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, " t"]:
+    """Return how far ways go horizontally."""
+    return np.hypot(way[:, 0], way[:, 2])
+
+
+def _median(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
+    """Return the median, which of few values np.median takes five times as long for."""
+    ordered, half = np.sort(values, axis=0), len(values) // 2
+    return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
+
+
 def _bend(
-    hip: Float[np.ndarray, "t 3"],
-    knee: Float[np.ndarray, "t 3"],
-    ankle: Float[np.ndarray, "t 3"],
-    wanted: Float[np.ndarray, "t 3"],
-) -> tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]]:
-    """Move an ankle to where it is wanted, as far as the leg reaches: knee and ankle; bones keep their lengths."""
+    hip: Float[np.ndarray, "t l 3"],
+    knee: Float[np.ndarray, "t l 3"],
+    ankle: Float[np.ndarray, "t l 3"],
+    wanted: Float[np.ndarray, "t l 3"],
+) -> tuple[Float[np.ndarray, "t l 3"], Float[np.ndarray, "t l 3"]]:
+    """Move ankles to where they are wanted, as far as the leg reaches: knees and ankles; bones keep their lengths."""
     thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
     before, after = ankle - hip, wanted - hip
     reach = np.clip(np.linalg.norm(after, axis=-1), np.abs(thigh - shin) * (2 - FARTHEST), (thigh + shin) * FARTHEST)
     still = np.linalg.norm(wanted - ankle, axis=-1) < 1e-9
     axis = unit(after)
-    turned = np.einsum("tij,tj->ti", shortest_arc(unit(before), axis), knee - hip)
-    side = turned - np.einsum("ti,ti->t", turned, axis)[:, None] * axis
+    turned = np.einsum("...ij,...j->...i", shortest_arc(unit(before), axis), knee - hip)
+    side = turned - np.einsum("...i,...i->...", turned, axis)[..., None] * axis
     along = (thigh**2 - shin**2 + reach**2) / (2 * np.maximum(reach, 1e-9))
     across = np.sqrt(np.maximum(thigh**2 - along**2, 0))
-    new_knee = hip + along[:, None] * axis + across[:, None] * unit(side)
-    new_ankle = hip + reach[:, None] * axis
-    keep = still[:, None]
+    new_knee = hip + along[..., None] * axis + across[..., None] * unit(side)
+    new_ankle = hip + reach[..., None] * axis
+    keep = still[..., None]
     return np.where(keep, knee, new_knee), np.where(keep, ankle, new_ankle)
