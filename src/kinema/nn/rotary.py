@@ -13,5 +13,5 @@ def rotary(x: Float[Tensor, "m h d"], positions: Shaped[Tensor, " m"], base: flo
     frequency = base ** (-torch.arange(pairs, device=x.device, dtype=torch.float32) / pairs)
     angle = (positions.to(x.device, torch.float32)[:, None] * frequency)[:, None]
     cos, sin = angle.cos().to(x.dtype), angle.sin().to(x.dtype)
-    even, odd = x.unflatten(-1, (pairs, 2)).unbind(-1)
-    return torch.stack((even * cos - odd * sin, even * sin + odd * cos), dim=-1).flatten(-2)
+    swapped = x.unflatten(-1, (pairs, 2)).flip(-1).flatten(-2)  # (even, odd) cos + (odd, even) (-sin, sin)
+    return x * cos.repeat_interleave(2, dim=-1) + swapped * torch.stack((-sin, sin), dim=-1).flatten(-2)

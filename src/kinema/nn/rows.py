@@ -15,16 +15,18 @@ class Rows:
     def __init__(self, real: Bool[Tensor, "b n"]) -> None:
         self.real = real
         self.owner, self.place = real.nonzero(as_tuple=True)
+        self.taken = self.owner * real.shape[1] + self.place  # one index copies whole rows; two, number by number
 
     def pack(self, x: Shaped[Tensor, "b n *c"]) -> Shaped[Tensor, "m *c"]:
         """Take the real positions."""
-        return x[self.owner, self.place]
+        return x.flatten(0, 1).index_select(0, self.taken)
 
     def pad(self, rows: Shaped[Tensor, "m *c"]) -> Shaped[Tensor, "b n *c"]:
         """Put rows in their places, zero elsewhere."""
-        x = rows.new_zeros(*self.real.shape, *rows.shape[1:])
-        return x.index_put((self.owner, self.place), rows)
+        x = rows.new_zeros(self.real.numel(), *rows.shape[1:])
+        x[self.taken] = rows
+        return x.unflatten(0, tuple(self.real.shape))
 
     def spread(self, values: Float[Tensor, "b c"]) -> Float[Tensor, "m c"]:
         """Give each row what is its sequence's."""
-        return values[self.owner]
+        return values.index_select(0, self.owner)
