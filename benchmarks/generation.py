@@ -24,13 +24,11 @@ from kinema.experiments.pages.tablea3 import time_method
 
 BASE = "mardm_sit"
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
-FEW = "shortcut.sampling.steps="
 VARIANTS = {  # of a method, with what they change
     "latent_flow": {"euler": ["generator.sampling.solver=euler"]},
     "latent_flow_few": {
-        "2 steps": [f"{FEW}2"],
-        "1 step": [f"{FEW}1"],
-        "2 steps, words alone": [f"{FEW}2", "text=minilm_words"],
+        **{f"{n} steps": [f"shortcut.model.counts=[{n}]", f"shortcut.sampling.steps={n}"] for n in (1, 4)},
+        "sentences": ["text=minilm"],
     },
 }
 BATCHES = (32, 1)
