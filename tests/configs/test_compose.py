@@ -152,8 +152,8 @@ SIZES = {
     "msflow_263": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW),
     "msflow_67": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "msflow": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 66) * (2 * 512 + 1)),
-    "latent_flow": (AE_2X, MSFLOW + (512 - 263) * (2 * 512 + 1)),
-    "latent_flow_few": (AE_2X, MSFLOW + (512 - 263) * (2 * 512 + 1)),
+    "latent_flow": (AE_2X, MSFLOW + (512 - 263) * (2 * 512 + 1) - (512 - 384) * 512),
+    "latent_flow_few": (AE_2X, MSFLOW + (512 - 263) * (2 * 512 + 1) - (512 - 384) * 512),
     "msflow_67_few": ({"humanml3d": 0, "kit_ml": 0}, MSFLOW - (263 - 67) * (2 * 512 + 1)),
     "mardm_words": ({"humanml3d": 18_834_499, "kit_ml": 18_825_280}, 19_940_864 + 270_875_648 + WORDS),
     "acmdm": ({"humanml3d": 16_289_799, "kit_ml": 16_289_799}, 39_055_960),
@@ -438,7 +438,7 @@ REMODIFFUSE = {
 }
 # FRONTIER §2.5, §3
 LATENT_FLOW = under("generator.model", unit=2, patch=2) | {"generator.model.process.clamp": 0.2}
-LATENT_FLOW |= under("tokenizer.model", width=512, latent_dim=256, down_levels=1)
+LATENT_FLOW |= under("tokenizer.model", width=512, latent_dim=256, down_levels=1) | {"text.name": "minilm_words"}
 SHORTCUT = {
     **under("shortcut.model", finest=8, counts=None, grid="emergence", guidance=3.0, teacher_share=1.0, substeps=2),
     "shortcut.model.solver": "euler",
