@@ -27,7 +27,7 @@ METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
 VARIANTS = {  # of a method, with what they change
     "latent_flow": {"euler": ["generator.sampling.solver=euler"]},
     "latent_flow_few": {
-        **{f"{n} steps": [f"shortcut.model.counts=[{n}]", f"shortcut.sampling.steps={n}"] for n in (1, 2)},
+        **{f"{n} steps": [f"shortcut.model.counts=[{n}]", f"shortcut.sampling.steps={n}"] for n in (1, 4)},
         "sentences": ["text=minilm"],
     },
 }
