@@ -8,7 +8,7 @@ numbers were chosen on motion that was generated for captions of a validation sp
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -55,8 +55,7 @@ def legs(skeleton: Skeleton) -> tuple[Leg, Leg]:
 def lock_feet(joints: Float[np.ndarray, "t j 3"], skeleton: Skeleton, fps: float) -> Float[np.ndarray, "t j 3"]:
     """Return the motion with feet that stand held still; joints in the skeleton's unit, the floor at y = 0."""
     moved = np.array(joints, dtype=np.float64) * skeleton.meters
-    both = legs(skeleton)
-    hips, knees, ankles, toes = ([getattr(leg, name) for leg in both] for name in ("hip", "knee", "ankle", "toe"))
+    hips, knees, ankles, toes = (list(both) for both in zip(*map(astuple, legs(skeleton)), strict=True))
     shift = np.stack([_shifts(moved[:, toe], fps) for toe in toes], axis=1)
     foot = moved[:, toes] - moved[:, ankles]
     moved[:, knees], moved[:, ankles] = _bend(
@@ -160,7 +159,7 @@ def _over_floor(way: Float[np.ndarray, "t 3"]) -> Float[np.ndarray, " t"]:
 
 
 def _median(values: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
-    """Return the median, which of few values np.median takes five times as long for."""
+    """Return the median: np.median's checks cost more than a contact's few values."""
     ordered, half = np.sort(values, axis=0), len(values) // 2
     return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
 

@@ -74,8 +74,7 @@ class Shortcut(LatentModel):
 
     A copy of a trained MSFlow with one more input, the level: how many steps the whole way has, `finest` or a half, a
     quarter, ... of it, down to one. A level's times are every second one of the next finer level's, so that a step is
-    two of its. The levels of `counts` steps are learnt (None: all of them), each the better the fewer they are. A step
-    learns where the frozen teacher gets under `guidance`, by `substeps` of its `solver` in each of the finest steps of
+    two of its. The levels of `counts` steps are learnt (None: all of them). A step learns where the frozen teacher gets under `guidance`, by `substeps` of its `solver` in each of the finest steps of
     its span. With a `teacher_share` below 1 the others learn, but for the finest level, where two of the network's own
     steps of the next finer level get, as published: cheaper, but it may chase itself and diverge.
 
@@ -152,7 +151,10 @@ class Shortcut(LatentModel):
         """Raise ValueError for a number of steps that was not learnt."""
         if self.level_of(sampling.steps) not in self.learnt:
             counts = ", ".join(str(self.finest >> level) for level in self.learnt)
-            raise ValueError(f"steps={sampling.steps} is none of the numbers of steps that were learnt: {counts}")
+            raise ValueError(
+                f"steps={sampling.steps}: this shortcut learns {counts}; sample in as many, or tune another with "
+                f"counts=[{sampling.steps}]"
+            )
 
     def level_of(self, steps: int) -> int:
         """Say on which level the whole way has so many steps; raises ValueError where none has."""
