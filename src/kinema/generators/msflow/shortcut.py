@@ -74,9 +74,10 @@ class Shortcut(LatentModel):
 
     A copy of a trained MSFlow with one more input, the level: how many steps the whole way has, `finest` or a half, a
     quarter, ... of it, down to one. A level's times are every second one of the next finer level's, so that a step is
-    two of its. The levels of `counts` steps are learnt (None: all of them). A step learns where the frozen teacher gets under `guidance`, by `substeps` of its `solver` in each of the finest steps of
-    its span. With a `teacher_share` below 1 the others learn, but for the finest level, where two of the network's own
-    steps of the next finer level get, as published: cheaper, but it may chase itself and diverge.
+    two of its. The levels of `counts` steps are learnt (None: all of them). A step learns where the frozen teacher gets
+    under `guidance`, by `substeps` of its `solver` in each of the finest steps of its span. With a `teacher_share`
+    below 1 the others learn, but for the finest level, where two of the network's own steps of the next finer level
+    get, as published: cheaper, but it may chase itself and diverge.
 
     The loss is the squared error of the clean motion, unweighted. Of a step from signal over noise r to r', an error e
     moves what the state says of the motion, x / t, by (1 - r / r') e: by as much on every interval of the grid
