@@ -194,9 +194,7 @@ def test_the_levels_of_some_counts_alone_are_drawn_and_sampled():
     assert found == {(1, 0, 2), (1, 2, 4), (1, 4, 6), (1, 6, 8), (3, 0, 8)}
     assert model.sampling.steps == 1
     attached(model).check_sampling(ShortcutSampling(steps=4))
-    with pytest.raises(
-        ValueError, match=r"steps=2: this shortcut learns 1, 4; .* with counts=\[2\]"
-    ):
+    with pytest.raises(ValueError, match=r"steps=2: this shortcut learns 1, 4; .* with counts=\[2\]"):
         attached(model).check_sampling(ShortcutSampling(steps=2))
     with pytest.raises(ValueError, match=r"3 steps are not of a grid of 8; halving it leaves 8, 4, 2, 1"):
         make(counts=[3])
