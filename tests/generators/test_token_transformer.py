@@ -32,13 +32,14 @@ def text(words: int = 6) -> TextFeatures:
 
 
 IDS = torch.tensor([[4, 13, 10, 13, 11], [1, 13, 11, 12, 12]])
-KEYS = torch.tensor([[1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 0, 0]], dtype=torch.bool)
+REAL = torch.tensor([[1, 1, 1, 1, 1], [1, 1, 1, 0, 0]], dtype=torch.bool)
+ALL = torch.ones_like(REAL)
 
 
 @pytest.mark.parametrize("cross_layers", [0, 1])
 def test_every_parameter_learns_and_the_codebook_is_none(cross_layers):
     model = make(cross_layers=cross_layers).train()
-    model(IDS, text(), KEYS).square().sum().backward()
+    model(IDS, text(), REAL).square().sum().backward()
     assert [name for name, p in model.named_parameters() if p.grad is None or not p.grad.any()] == []
     assert "codebook" not in dict(model.named_parameters())
     assert "codebook" in model.state_dict()
@@ -48,9 +49,9 @@ def test_codes_are_embedded_by_the_codebook_and_specials_by_learned_rows():
     model = make()
     rows = torch.stack((model.codebook[4], model.special.weight[2]))
     torch.testing.assert_close(model.embed(IDS)[0, :2], model.input_projection(rows))
-    before = model(IDS, text(), KEYS)
+    before = model(IDS, text(), REAL)
     model.set_codebook(model.codebook.clone().index_fill(0, torch.tensor([4]), 9.0))
-    after = model(IDS, text(), KEYS)
+    after = model(IDS, text(), REAL)
     assert not torch.equal(before[0], after[0])
     assert torch.equal(before[1], after[1])
 
@@ -59,10 +60,10 @@ def test_hidden_keys_reach_nothing():
     model = make()
     changed = IDS.clone()
     changed[1, 3:] = torch.tensor([5, 6])
-    before, after = model(IDS, text(), KEYS), model(changed, text(), KEYS)
-    assert torch.equal(before[1, :4], after[1, :4])
-    assert torch.equal(before[0], after[0])
-    assert not torch.equal(model(changed, text(), torch.ones_like(KEYS))[1, :4], after[1, :4])
+    before, after = model(IDS, text(), REAL), model(changed, text(), REAL)
+    assert torch.equal(before, after)
+    assert not before[1, 4:].any()
+    assert not torch.equal(model(changed, text(), ALL)[1, :4], after[1, :4])
 
 
 def test_a_mask_over_pairs():
@@ -71,24 +72,24 @@ def test_a_mask_over_pairs():
     pairs = torch.ones(2, 6, 6, dtype=torch.bool).tril()
     changed = IDS.clone()
     changed[:, 3] = 7
-    before, after = model(IDS, text(), pairs), model(changed, text(), pairs)
+    before, after = (model(ids, text(), ALL, mask=pairs) for ids in (IDS, changed))
     assert torch.equal(before[:, :4], after[:, :4])
     assert not torch.equal(before[:, 4:], after[:, 4:])
-    keys = KEYS[:, None].expand(-1, 6, -1)
-    torch.testing.assert_close(model(IDS, text(), keys), model(IDS, text(), KEYS))
+    keys = torch.nn.functional.pad(REAL, (1, 0), value=True)[:, None].expand(-1, 6, -1)
+    torch.testing.assert_close(model(IDS, text(), REAL, mask=keys), model(IDS, text(), REAL))
 
 
 def test_padded_words_are_not_read_and_refused_where_all_are():
     model, changed = make(), text()
     changed.tokens[1, 4:] = 50.0
-    assert torch.equal(*(model(IDS, t, KEYS)[1] for t in (text(), changed)))
+    assert torch.equal(*(model(IDS, t, REAL)[1] for t in (text(), changed)))
     with pytest.raises(ValueError, match="words='all' reads all positions"):
-        make(words="all")(IDS, changed, KEYS)
+        make(words="all")(IDS, changed, REAL)
     full, changed = (
         TextFeatures(t.texts, t.pooled, t.tokens, torch.ones_like(t.token_mask)) for t in (text(), changed)
     )
-    assert not torch.equal(*(make(words="all")(IDS, t, KEYS)[1] for t in (full, changed)))
-    wide, narrow = make()(IDS, text(), KEYS), make()(IDS[1:], TextFeatures([""], *cut(text())), KEYS[1:])
+    assert not torch.equal(*(make(words="all")(IDS, t, REAL)[1] for t in (full, changed)))
+    wide, narrow = make()(IDS, text(), REAL), make()(IDS[1:], TextFeatures([""], *cut(text())), REAL[1:])
     torch.testing.assert_close(narrow[0], wide[1], rtol=1e-4, atol=1e-5)
 
 
@@ -102,7 +103,7 @@ def test_extra_conditions_stand_behind_the_sentence():
     model, extra = make(), torch.randn(2, 2, WIDTH)
     pairs = torch.ones(2, 8, 8, dtype=torch.bool)
     pairs[:, [0, 3, 4, 5, 6, 7], 1:3] = False
-    before, after = model(IDS, text(), pairs, extra), model(IDS, text(), pairs, extra.flip(0))
+    before, after = (model(IDS, text(), ALL, tokens, pairs) for tokens in (extra, extra.flip(0)))
     assert before.shape == (2, 8, CODES)
     assert (before != after).any(dim=-1).tolist() == [[False, True, True, *[False] * 5]] * 2
 
@@ -132,7 +133,7 @@ def test_losses_average_samples_not_tokens(conditions):
     [
         (lambda: make(words="some"), "TokenTransformer.words=some: must be one of real, all"),
         (lambda: make().set_codebook(torch.zeros(CODES, DIM + 1)), r"codebook is \(11, 4\).*\(11, 3\)"),
-        (lambda: make()(IDS, TextFeatures(["", ""], torch.zeros(2, TEXT)), KEYS), "reads_tokens"),
+        (lambda: make()(IDS, TextFeatures(["", ""], torch.zeros(2, TEXT)), REAL), "reads_tokens"),
     ],
 )
 def test_bad_input_is_named(call, message):

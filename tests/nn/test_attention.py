@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 from kinema.nn.attention import Attention
+from kinema.nn.rows import Rows
 
 
 @pytest.fixture
@@ -42,6 +43,34 @@ def test_pair_mask_is_causal(attention):
     changed = x.clone()
     changed[:, 3:] += 1
     torch.testing.assert_close(attention(x, causal)[:, :3], attention(changed, causal)[:, :3])
+
+
+LENGTHS = torch.tensor([4, 0, 6, 1])
+
+
+@pytest.mark.parametrize("lengths", [LENGTHS, torch.full((4,), 6)])
+def test_rows_attend_to_their_own_sequence(attention, lengths):
+    x, context, seen = torch.randn(4, 6, 12), torch.randn(4, 5, 12), torch.rand(4, 5) < 0.7
+    seen[:, 0] = True
+    rows = Rows(torch.arange(6) < lengths[:, None])
+    packed = rows.pack(x)
+    expected = rows.pack(attention(x, rows.real))
+    torch.testing.assert_close(attention(packed, rows=rows), expected)
+    torch.testing.assert_close(attention(packed, rows.real, rows=rows), expected)  # what a GPU does
+    torch.testing.assert_close(attention(packed, seen, context, rows=rows), rows.pack(attention(x, seen, context)))
+    causal = torch.ones(1, 6, 6, dtype=torch.bool).tril()
+    torch.testing.assert_close(attention(packed, causal, rows=rows), rows.pack(attention(x, causal)))
+
+
+def test_gradients_of_rows_are_those_of_padding(attention):
+    x, rows = torch.randn(4, 6, 12, requires_grad=True), Rows(torch.arange(6) < LENGTHS[:, None])
+    weight = torch.randn(int(LENGTHS.sum()), 12)
+    found = [
+        torch.autograd.grad((weight * made).sum(), (x, *attention.parameters()))
+        for made in (attention(rows.pack(x), rows=rows), rows.pack(attention(x, rows.real)))
+    ]
+    for ours, padded in zip(*found, strict=True):
+        torch.testing.assert_close(ours, padded, rtol=1e-4, atol=1e-5)
 
 
 def test_heads_that_do_not_divide_the_width():

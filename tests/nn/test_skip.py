@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from kinema.nn.rows import Rows
 from kinema.nn.skip import SkipTransformer
 
 
@@ -26,22 +27,26 @@ def test_blocks_start_with_the_same_biases_and_matrices_of_their_own(cross):
 def test_each_block_behind_the_middle_reads_its_mirror(cross):
     model = make(cross).eval()
     x, context = torch.randn(2, 4, 8), torch.randn(2, 3, 8) if cross else None
-    before = model(x, context=context)
+    rows = Rows.of(x)
+    before = model(rows.pack(x), rows, context)
     with torch.no_grad():  # merges that let the mirror's half through alone
         for merge in model.merges:
             merge.weight.copy_(torch.cat((torch.zeros(8, 8), torch.eye(8)), dim=1))
             merge.bias.zero_()
     first = model.inputs[0](x) if context is None else model.inputs[0](x, context)
     last = model.outputs[1](first) if context is None else model.outputs[1](first, context)
-    torch.testing.assert_close(model(x, context=context), model.norm(last))
-    assert not torch.allclose(model(x, context=context), before)
+    after = model(rows.pack(x), rows, context)
+    torch.testing.assert_close(rows.pad(after), model.norm(last))
+    assert not torch.allclose(after, before)
 
 
 def test_padding_is_not_seen():
     model, x = make().eval(), torch.randn(2, 4, 8)
     real = torch.tensor([[True, True, True, False], [True] * 4])
-    other = x.masked_fill(~real[..., None], 7.0)
-    torch.testing.assert_close(model(x, real)[real], model(other, real)[real])
+    rows, alone = Rows(real), Rows.of(x[:1, :3])
+    made = model(rows.pack(x), rows)
+    torch.testing.assert_close(made[:3], model(x[0, :3], alone))
+    torch.testing.assert_close(rows.pad(made)[real], made)
 
 
 @pytest.mark.parametrize("layers", [0, 4])

@@ -8,7 +8,6 @@ from typing import Annotated
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.nn import functional as F
 
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import choice, unmask_tokens
@@ -133,7 +132,7 @@ class MMM(CodebookReader):
     ) -> Float[Tensor, "b m k"]:
         """Return logits at the sentence, the n positions and the END slot (m = n + 2); padding is seen by none."""
         ids, visible = with_end(ids, lengths, self.codebook_size)
-        return self.transformer(ids, text, F.pad(visible, (1, 0), value=True))
+        return self.transformer(ids, text, visible)
 
     def loss(
         self,

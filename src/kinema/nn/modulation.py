@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
@@ -43,20 +42,17 @@ class AdaLNBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b n w"],
+        x: Float[Tensor, "m w"],
+        rows: Rows,
         condition: Float[Tensor, "b w"],
-        mask: Bool[Tensor, "b n"] | None = None,
         context: Float[Tensor, "b l w"] | None = None,
-        context_mask: Bool[Tensor, "b l"] | None = None,
-    ) -> Float[Tensor, "b n w"]:
-        """Attend over the positions, and over those of a context, that the masks show (True = real)."""
-        shift1, scale1, gate1, shift2, scale2, gate2 = self.modulation(condition)[:, None].chunk(6, dim=-1)
-        x = x + gate1 * self.attention(modulate(self.norm(x), shift1, scale1), mask)
+        seen: Bool[Tensor, "b l"] | None = None,
+    ) -> Float[Tensor, "m w"]:
+        """Attend over the `rows` of each sequence, and over what of its context is `seen` (None: all)."""
+        ways = rows.spread(self.modulation(condition)).chunk(6, dim=-1)
+        shift1, scale1, gate1, shift2, scale2, gate2 = ways
+        x = x + gate1 * self.attention(modulate(self.norm(x), shift1, scale1), rows=rows)
         if self.cross is not None and context is not None:
-            rows, others = (
-                Rows(torch.ones_like(held[..., 0], dtype=torch.bool) if shown is None else shown)
-                for held, shown in ((x, mask), (context, context_mask))
-            )
-            held = self.cross.read(others.pack(context), others)
-            x = x + rows.pad(self.cross(rows.pack(x), rows, held, others.real))
+            others = Rows.of(context, seen)
+            x = x + self.cross(x, rows, self.cross.read(others.pack(context), others), others.real)
         return x + gate2 * self.mlp(modulate(self.norm(x), shift2, scale2))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from kinema.nn.attention import Attention
+from kinema.nn.rows import Rows
 from kinema.nn.transformer import DecoderBlock, TransformerBlock, initialize_as_torch
 
 
@@ -38,18 +39,18 @@ class SkipTransformer(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b q w"],
-        mask: Bool[Tensor, "..."] | None = None,
+        x: Float[Tensor, "m w"],
+        rows: Rows,
         context: Float[Tensor, "b k w"] | None = None,
-    ) -> Float[Tensor, "b q w"]:
-        """Transform `x`; the mask is over its own positions, as in `Attention`."""
+    ) -> Float[Tensor, "m w"]:
+        """Transform the `rows` of a batch, which attend to those of their sequence, and to a context."""
         made = []
         for block in self.inputs:
-            x = _run(block, x, mask, context)
+            x = _run(block, x, rows, context)
             made.append(x)
-        x = _run(self.middle, x, mask, context)
+        x = _run(self.middle, x, rows, context)
         for merge, block in zip(self.merges, self.outputs, strict=True):
-            x = _run(block, merge(torch.cat((x, made.pop()), dim=-1)), mask, context)
+            x = _run(block, merge(torch.cat((x, made.pop()), dim=-1)), rows, context)
         return self.norm(x)
 
     def _initialize(self) -> None:
@@ -67,6 +68,6 @@ class SkipTransformer(nn.Module):
 
 
 def _run(
-    block: nn.Module, x: Float[Tensor, "b q w"], mask: Tensor | None, context: Float[Tensor, "b k w"] | None
-) -> Float[Tensor, "b q w"]:
-    return block(x, mask) if context is None else block(x, context, mask)
+    block: nn.Module, x: Float[Tensor, "m w"], rows: Rows, context: Float[Tensor, "b k w"] | None
+) -> Float[Tensor, "m w"]:
+    return block(x, rows=rows) if context is None else block(x, context, rows=rows)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from kinema.nn.modulation import modulate
+from kinema.nn.rows import Rows
 
 ATTENTIONS = ("linear", "softmax")
 HIDDEN = -1e6
@@ -28,8 +29,8 @@ class Stylization(nn.Module):
         nn.init.zeros_(self.output.weight)
         nn.init.zeros_(self.output.bias)
 
-    def forward(self, h: Float[Tensor, "b t w"], embedding: Float[Tensor, "b e"]) -> Float[Tensor, "b t w"]:
-        scale, shift = self.modulation(F.silu(embedding))[:, None].chunk(2, dim=-1)
+    def forward(self, h: Float[Tensor, "m w"], rows: Rows, embedding: Float[Tensor, "b e"]) -> Float[Tensor, "m w"]:
+        scale, shift = rows.spread(self.modulation(F.silu(embedding))).chunk(2, dim=-1)
         return self.output(self.dropout(F.silu(modulate(self.norm(h), shift, scale))))
 
 
@@ -65,17 +66,22 @@ class StylizedAttention(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b t w"],
+        x: Float[Tensor, "m w"],
+        rows: Rows,
         embedding: Float[Tensor, "b e"],
         context: Float[Tensor, "b k c"] | None = None,
-        mask: Bool[Tensor, "b k"] | None = None,
-    ) -> Float[Tensor, "b t w"]:
-        """Attend to the positions that `mask` shows (True; None: all)."""
+        seen: Bool[Tensor, "b k"] | None = None,
+    ) -> Float[Tensor, "m w"]:
+        """Attend to the rows of one's own sequence, or to what of its context is `seen` (None: all)."""
         own = self.norm(x)
-        source = own if context is None else self.context_norm(context)
+        mask = rows.real if context is None else seen
+        if context is None:
+            key, value = rows.pad(self.key(own)), rows.pad(self.value(own))
+        else:
+            context = self.context_norm(context)
+            key, value = self.key(context), self.value(context)
         query, key, value = (
-            layer(part).unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for layer, part in ((self.query, own), (self.key, source), (self.value, source))
+            part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in (rows.pad(self.query(own)), key, value)
         )
         if self.linear:
             attended = linear_attention(query, key, value, None if mask is None else mask[:, None])
@@ -83,7 +89,7 @@ class StylizedAttention(nn.Module):
             dropout = self.dropout if self.training else 0.0
             shown = None if mask is None else mask[:, None, None]
             attended = F.scaled_dot_product_attention(query, key, value, attn_mask=shown, dropout_p=dropout)
-        return x + self.style(attended.transpose(1, 2).flatten(2), embedding)
+        return x + self.style(rows.pack(attended.transpose(1, 2)).flatten(1), rows, embedding)
 
 
 class StylizedFeedForward(nn.Module):
@@ -97,8 +103,8 @@ class StylizedFeedForward(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, feedforward), nn.GELU(), nn.Dropout(dropout), last)
         self.style = Stylization(width, embedding, dropout)
 
-    def forward(self, x: Float[Tensor, "b t w"], embedding: Float[Tensor, "b e"]) -> Float[Tensor, "b t w"]:
-        return x + self.style(self.mlp(x), embedding)
+    def forward(self, x: Float[Tensor, "m w"], rows: Rows, embedding: Float[Tensor, "b e"]) -> Float[Tensor, "m w"]:
+        return x + self.style(self.mlp(x), rows, embedding)
 
 
 def linear_attention(

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.nn.attention import Attention, KeyValueCache
+from kinema.nn.rows import Rows
 
 NORMS = ("pre", "post")
 
@@ -41,18 +42,19 @@ class TransformerBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b q w"],
+        x: Float[Tensor, "*q w"],
         mask: Bool[Tensor, "..."] | None = None,
         context: Float[Tensor, "b k w"] | None = None,
         cache: KeyValueCache | None = None,
-    ) -> Float[Tensor, "b q w"]:
-        """Transform `x`; masks as in `Attention`."""
+        rows: Rows | None = None,
+    ) -> Float[Tensor, "*q w"]:
+        """Transform `x`, padded or the `rows` of a batch; masks as in `Attention`."""
         if self.norm3 is not None:
             context = self.norm3(context)
         if self.pre:
-            x = x + self.attention(self.norm1(x), mask, context, cache)
+            x = x + self.attention(self.norm1(x), mask, context, cache, rows)
             return x + self.mlp(self.norm2(x))
-        x = self.norm1(x + self.attention(x, mask, context, cache))
+        x = self.norm1(x + self.attention(x, mask, context, cache, rows))
         return self.norm2(x + self.mlp(x))
 
 
@@ -70,27 +72,29 @@ class DecoderBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b q w"],
+        x: Float[Tensor, "*q w"],
         context: Float[Tensor, "b k w"],
         mask: Bool[Tensor, "..."] | None = None,
         context_mask: Bool[Tensor, "..."] | None = None,
-    ) -> Float[Tensor, "b q w"]:
-        """Transform `x`; masks over its own positions and over the context's as in `Attention`."""
+        rows: Rows | None = None,
+    ) -> Float[Tensor, "*q w"]:
+        """Transform `x`, padded or the `rows` of a batch; masks over its own and the context's as in `Attention`."""
         block = self.block
-        x = block.norm1(x + block.attention(x, mask))
-        x = self.cross_norm(x + self.cross(x, context_mask, context))
+        x = block.norm1(x + block.attention(x, mask, rows=rows))
+        x = self.cross_norm(x + self.cross(x, context_mask, context, rows=rows))
         return block.norm2(x + block.mlp(x))
 
 
 def run(
     blocks: Iterable[nn.Module],
-    x: Float[Tensor, "b q w"],
+    x: Float[Tensor, "*q w"],
     mask: Bool[Tensor, "..."] | None = None,
     caches: Sequence[KeyValueCache] | None = None,
-) -> Float[Tensor, "b q w"]:
-    """Send `x` through self-attention blocks, each with its own cache if there are any."""
+    rows: Rows | None = None,
+) -> Float[Tensor, "*q w"]:
+    """Send `x`, padded or the `rows` of a batch, through self-attention blocks, each with its own cache if any."""
     for i, block in enumerate(blocks):
-        x = block(x, mask, cache=caches[i] if caches else None)
+        x = block(x, mask, cache=caches[i] if caches else None, rows=rows)
     return x
 
 

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from kinema.motion.recovery import recover_joints
 from kinema.motion.representation import Representation
 from kinema.nn.ranks import largest
+from kinema.nn.rows import Rows
 from kinema.nn.skip import SkipTransformer
 from kinema.options import Depth, NonNegative, OpenShare, Size, checked
 from kinema.registry import buildable
@@ -100,16 +101,16 @@ class VAE(PosteriorTokenizer):
         heads = len(self.tokens)
         sequence = torch.cat((self.tokens.expand(len(x), -1, -1), self.input_projection(x)), dim=1)
         sequence = sequence + _first(self.encoder_positions, sequence.shape[1], heads)
-        real = F.pad(frame_mask(lengths, x.shape[1]), (heads, 0), value=True)
-        mean, log_variance = self.encoder(sequence, real)[:, :heads].chunk(2, dim=1)
+        rows = Rows.behind(heads, frame_mask(lengths, x.shape[1]))
+        mean, log_variance = rows.pad(self.encoder(rows.pack(sequence), rows))[:, :heads].chunk(2, dim=1)
         values = torch.cat((mean, log_variance + self.log_variance), dim=-1)
         return Latents(self.space.latents_of(lengths), lengths, values=values)
 
     def _decode(self, z: Float[Tensor, "b n c"], lengths: Int[Tensor, " b"], size: int) -> Float[Tensor, "b t d"]:
         """Decode normalised features, zero past the lengths."""
-        real = frame_mask(lengths, size)
-        queries = _first(self.decoder_positions, size).expand(len(z), -1, -1)
-        return self.output(self.decoder(queries, real, z)).masked_fill(~real[..., None], 0.0)
+        rows = Rows(frame_mask(lengths, size))
+        queries = _first(self.decoder_positions, size).index_select(0, rows.place)
+        return rows.pad(self.output(self.decoder(queries, rows, z)))
 
     def _joints(self, x: Float[Tensor, "b t d"]) -> Float[Tensor, "b t j 3"]:
         """Place the joints of normalised features, in metres."""

@@ -86,15 +86,19 @@ class BAMM(Slots):
             initialize(self.encoder.blocks)
 
     def forward(
-        self, ids: Int[Tensor, "b s"], text: Float[Tensor, "b t"], condition: Bool[Tensor, "b s"] | None = None
+        self,
+        ids: Int[Tensor, "b s"],
+        text: Float[Tensor, "b t"],
+        condition: Bool[Tensor, "b s"] | None = None,
+        real: Bool[Tensor, "b s"] | None = None,
     ) -> Float[Tensor, "b m k"]:
         """Return m = 1 + s positions' logits of codes and END; position p predicts slot p. None: no conditions.
 
-        A zero text vector is the empty condition.
+        A zero text vector is the empty condition. Where `real` says that a slot is PAD, logits are zero.
         """
         condition = torch.zeros_like(ids, dtype=torch.bool) if condition is None else condition
         x = self.encoder.embed(self.token_embedding(ids), self.encoder.text_projection(text)[:, None])
-        return self.encoder(x, condition_mask(condition))
+        return self.encoder(x, condition_mask(condition), real=real)
 
     def loss(
         self,
@@ -116,7 +120,8 @@ class BAMM(Slots):
         draws = draws or self._draw(wanted, generator, shard)
         ids = torch.where(draws.corrupted & (wanted < self.codebook_size), draws.codes, wanted)
         pooled = text.pooled.masked_fill(draws.condition_drop[:, None], 0.0)
-        logits = self(ids, pooled, draws.condition & (wanted != self.pad))[:, :-1]
+        real = wanted != self.pad
+        logits = self(ids, pooled, draws.condition & real, real)[:, :-1]
         entropy = F.cross_entropy(logits.mT, wanted.masked_fill(wanted == self.pad, 0), reduction="none")
         hits = (logits.argmax(-1) == wanted).float()
         loss, accuracy = (mean_over_ranks(per_sample(v, latents.lengths), shard[1]) for v in (entropy, hits))

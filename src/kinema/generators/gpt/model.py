@@ -22,6 +22,7 @@ from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
+from kinema.nn.rows import Rows
 from kinema.nn.transformer import TransformerBlock, initialize, run
 from kinema.options import Classes, Depth, KeptShare, OneOf, OpenShare, OptionalDepth, Size, checked
 from kinema.registry import buildable
@@ -84,13 +85,18 @@ class T2MGPT(TokenGenerator):
         self.head = nn.Linear(width, codebook_size + 1, bias=False)
         initialize(self)
 
-    def forward(self, ids: Int[Tensor, "b n"], text: TextFeatures) -> Float[Tensor, "b m k"]:
-        """Return m = n + 1 positions' logits of codes and END: position 0 is the text and predicts token 0."""
+    def forward(
+        self, ids: Int[Tensor, "b n"], text: TextFeatures, real: Bool[Tensor, "b m"] | None = None
+    ) -> Float[Tensor, "b m k"]:
+        """Return m = n + 1 positions' logits of codes and END: position 0 is the text and predicts token 0.
+
+        They are zero where `real` says that nothing is to be predicted.
+        """
         x = self.text_projection(text.pooled)[:, None]
         if ids.shape[1]:
-            x = torch.cat((x, self._embed(ids, self._words(text))), dim=1)
+            x = torch.cat((x, self._embed(ids, self._words(text), real=None if real is None else real[:, 1:])), dim=1)
         x = x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype)
-        return self._logits(x, mask=_lower(x.shape[1], x.shape[1], x.device)[None])
+        return self._logits(x, _lower(x.shape[1], x.shape[1], x.device)[None], rows=Rows.of(x, real))
 
     def loss(
         self,
@@ -114,7 +120,7 @@ class T2MGPT(TokenGenerator):
             draws = self._draw(len(ids), generator, shard)
         if draws is not None:
             ids = corrupt(ids, draws)
-        logits = self(ids, text)
+        logits = self(ids, text, wanted != self.pad)
         entropy = F.cross_entropy(logits.mT, wanted, ignore_index=self.pad, reduction="none")
         hits = (logits.argmax(-1) == wanted).float()
         loss, accuracy = (mean_over_ranks(per_sample(v, latents.lengths), shard[1]) for v in (entropy, hits))
@@ -170,26 +176,32 @@ class T2MGPT(TokenGenerator):
         words: Words | None,
         start: int = 0,
         caches: Sequence[KeyValueCache] | None = None,
+        real: Bool[Tensor, "b n"] | None = None,
     ) -> Float[Tensor, "b n w"]:
         """Embed tokens from `start` on; token i attends to words 0..i, of which caches hold those before `start`."""
         x = self.token_embedding(ids)
         if words is None:
             return x
-        features, real = words
+        features, seen = words
         end = start + ids.shape[1]
-        lower = _lower(end, min(end, real.shape[1]), x.device)[start:]
-        mask = lower & real[:, None, :end]
+        lower = _lower(end, min(end, seen.shape[1]), x.device)[start:]
+        mask = lower & seen[:, None, :end]
+        rows = Rows.of(x, real)
+        x = rows.pack(x)
         for i, block in enumerate(self.cross_blocks):
-            x = block(x, mask, features[:, start:end], cache=caches[i] if caches else None)
-        return x
+            x = block(x, mask, features[:, start:end], caches[i] if caches else None, rows)
+        return rows.pad(x)
 
     def _logits(
         self,
         x: Float[Tensor, "b n w"],
         mask: Bool[Tensor, "..."] | None = None,
         caches: Sequence[KeyValueCache] | None = None,
+        rows: Rows | None = None,
     ) -> Float[Tensor, "b n k"]:
-        return self.head(self.norm(run(self.blocks, x, mask, caches)))
+        if rows is None:
+            return self.head(self.norm(run(self.blocks, x, mask, caches)))
+        return rows.pad(self.head(self.norm(run(self.blocks, rows.pack(x), mask, caches, rows))))
 
     def _predictor(
         self, text: TextFeatures, size: int, cache: bool

@@ -26,6 +26,7 @@ from kinema.nn.embeddings import sinusoidal_positions
 from kinema.nn.mode import inference
 from kinema.nn.modulation import AdaLNBlock
 from kinema.nn.ranks import mean_over_ranks
+from kinema.nn.rows import Rows
 from kinema.nn.words import Words
 from kinema.options import Depth, OneOf, OpenShare, OptionalDepth, Share, Size, checked
 from kinema.registry import buildable
@@ -151,9 +152,11 @@ class MARDM(Generator):
         if last is not None:
             order = last.int().argsort(dim=1, stable=True)
             x, real = _take(x, order), real.gather(1, order)
+        rows = Rows(real)
+        x = rows.pack(x)
         for block in self.blocks:
-            x = block(x, condition, real, *words)
-        return x if last is None else _take(x, order.argsort(dim=1))
+            x = block(x, rows, condition, *words)
+        return rows.pad(x) if last is None else _take(rows.pad(x), order.argsort(dim=1))
 
     def loss(
         self,

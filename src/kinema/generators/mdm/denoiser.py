@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import interleaved_embedding, sinusoidal_positions
+from kinema.nn.rows import Rows
 from kinema.nn.transformer import DecoderBlock, TransformerBlock, initialize_as_torch, run
 from kinema.types import TextFeatures
 
@@ -82,28 +82,22 @@ class MdmDenoiser(Denoiser):
         """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding."""
         condition = condition + self.embed_time(time)[:, None]
         x = self.input_projection(x)
+        frames = Rows.of(x, real)
         if not self.encodes:
-            x = self._place(x)
+            x = self._place(frames.pack(x), frames)
             for block in self.blocks:
-                x = block(x, condition, real, seen)
-            return self.output(x)
+                x = block(x, condition, context_mask=seen, rows=frames)
+            return frames.pad(self.output(x))
         size = condition.shape[1]
-        x = self._place(torch.cat((condition, x), dim=1))
-        return self.output(run(self.blocks, x, _joined(seen, real, size, x.shape[1]))[:, size:])
+        rows = Rows.behind(size, frames.real) if seen is None else Rows(torch.cat((seen, frames.real), dim=1))
+        x = self._place(rows.pack(torch.cat((condition, x), dim=1)), rows)
+        return rows.pad(self.output(run(self.blocks, x, rows=rows)))[:, size:]
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
         """Embed a single time (one row, broadcast later) or one time per row, as they are."""
         embedded = interleaved_embedding(time.reshape(-1), self.width)
         return self.time(embedded.to(self.input_projection.weight.dtype))
 
-    def _place(self, x: Float[Tensor, "b n w"]) -> Float[Tensor, "b n w"]:
-        return self.dropout(x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype))
-
-
-def _joined(
-    seen: Bool[Tensor, "b l"] | None, real: Bool[Tensor, "b t"] | None, size: int, total: int
-) -> Bool[Tensor, "b n"] | None:
-    """Join the masks over a condition of `size` rows and the frames behind it."""
-    if seen is None:
-        return None if real is None else F.pad(real, (size, 0), value=True)
-    return F.pad(seen, (0, total - size), value=True) if real is None else torch.cat((seen, real), dim=1)
+    def _place(self, x: Float[Tensor, "m w"], rows: Rows) -> Float[Tensor, "m w"]:
+        positions = sinusoidal_positions(rows.real.shape[1], x.shape[1], x.device).to(x.dtype)
+        return self.dropout(x + positions[rows.place])

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import timestep_embedding
+from kinema.nn.rows import Rows
 from kinema.nn.skip import SkipTransformer
 from kinema.types import TextFeatures
 
@@ -53,7 +54,8 @@ class MldDenoiser(Denoiser):
         size = x.shape[1]
         time = self.embed_time(time)[:, None].expand(len(x), -1, -1)
         sequence = torch.cat((x, time, condition), dim=1)
-        return self.encoder(sequence + self.positions[: sequence.shape[1]])[:, :size]
+        rows = Rows.of(sequence)
+        return rows.pad(self.encoder(rows.pack(sequence + self.positions[: sequence.shape[1]]), rows))[:, :size]
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
         """Embed a single time (one row, broadcast later) or one time per row."""

@@ -129,7 +129,7 @@ class MoMask(TokenGenerator):
     ) -> Float[Tensor, "b n k"]:
         """Return the logits of every position's code; a zero text vector is the empty condition."""
         prefix = self.encoder.text_projection(text)[:, None]
-        return self.encoder(self.encoder.embed(self.token_embedding(ids), prefix), real)[:, 1:]
+        return self.encoder(self.encoder.embed(self.token_embedding(ids), prefix), real=real)[:, 1:]
 
     def loss(
         self,

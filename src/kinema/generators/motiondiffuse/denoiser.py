@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import timestep_embedding
+from kinema.nn.rows import Rows
 from kinema.nn.stylization import StylizedAttention, StylizedFeedForward
 from kinema.nn.transformer import TransformerBlock, initialize_as_torch, run
 from kinema.types import TextFeatures
@@ -26,15 +27,15 @@ class StylizedBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b t w"],
+        x: Float[Tensor, "m w"],
+        rows: Rows,
         embedding: Float[Tensor, "b e"],
         words: Float[Tensor, "b l c"],
         seen: Bool[Tensor, "b l"] | None,
-        real: Bool[Tensor, "b t"] | None,
-    ) -> Float[Tensor, "b t w"]:
-        x = self.attention(x, embedding, mask=real)
-        x = self.cross(x, embedding, words, seen)
-        return self.mlp(x, embedding)
+    ) -> Float[Tensor, "m w"]:
+        x = self.attention(x, rows, embedding)
+        x = self.cross(x, rows, embedding, words, seen)
+        return self.mlp(x, rows, embedding)
 
 
 class MotionDiffuseDenoiser(Denoiser):
@@ -95,7 +96,9 @@ class MotionDiffuseDenoiser(Denoiser):
         self, tokens: Float[Tensor, "b l c"], ends: Int[Tensor, " b"], seen: Bool[Tensor, "b l"] | None = None
     ) -> Float[Tensor, "b m w"]:
         """Return m = l + 1 rows: what was read at `ends`, which stands for the sentence, and at every token."""
-        words = self.text_norm(run(self.text_blocks, self.text_projection(tokens), seen))
+        rows = Rows.of(tokens, seen)
+        read = run(self.text_blocks, self.text_projection(rows.pack(tokens)), rows=rows)
+        words = rows.pad(self.text_norm(read))
         sentence = words[torch.arange(len(words), device=words.device), ends]
         return torch.cat((sentence[:, None], words), dim=1)
 
@@ -108,12 +111,13 @@ class MotionDiffuseDenoiser(Denoiser):
         real: Bool[Tensor, "b t"] | None = None,
     ) -> Float[Tensor, "b t d"]:
         """Predict at one time for all rows or one per row, from what `read_tokens` made; `seen` is over tokens."""
+        rows = Rows.of(x, real)
         embedding = self.embed_time(time) + self.sentence_projection(condition[:, 0])
         words = condition[:, 1:]
-        x = self.input_projection(x) + self.positions[: x.shape[1]]
+        x = self.input_projection(rows.pack(x)) + self.positions.index_select(0, rows.place)
         for block in self.blocks:
-            x = block(x, embedding, words, seen, real)
-        return self.output(x)
+            x = block(x, rows, embedding, words, seen)
+        return rows.pad(self.output(x))
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n e"]:
         """Embed a single time (one row, broadcast later) or one time per row, as they are."""

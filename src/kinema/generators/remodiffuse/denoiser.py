@@ -9,6 +9,7 @@ from torch import Tensor, nn
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.generators.remodiffuse.encoder import RetrievalEncoder, Retrieved
 from kinema.nn.embeddings import timestep_embedding
+from kinema.nn.rows import Rows
 from kinema.nn.stylization import Stylization, StylizedFeedForward, linear_attention
 from kinema.nn.transformer import TransformerBlock, initialize_as_torch, run
 from kinema.types import TextFeatures
@@ -37,14 +38,14 @@ class SemanticsModulatedAttention(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b t w"],
+        x: Float[Tensor, "m w"],
+        rows: Rows,
         embedding: Float[Tensor, "b e"],
         words: Float[Tensor, "b l c"],
         seen: Bool[Tensor, "b l"],
         retrieved: Retrieved | None,
-        real: Bool[Tensor, "b t"],
-    ) -> Float[Tensor, "b t w"]:
-        """Attend to the words and the frames that may be seen, and to what was retrieved if it is given."""
+    ) -> Float[Tensor, "m w"]:
+        """Attend to the words that may be seen and the frames, and to what was retrieved if it is given."""
         own, words = self.norm(x), self.text_norm(words)
         keys, values, masks = [self.text_key(words)], [self.text_value(words)], [seen]
         if retrieved is not None:
@@ -52,13 +53,17 @@ class SemanticsModulatedAttention(nn.Module):
             keys.append(self.retrieved_key(pair))
             values.append(self.retrieved_value(self.retrieved_norm(retrieved.motions)))
             masks.append(retrieved.seen)
-        keys, values, masks = [*keys, self.key(own)], [*values, self.value(own)], [*masks, real]
+        keys, values, masks = (
+            [*keys, rows.pad(self.key(own))],
+            [*values, rows.pad(self.value(own))],
+            [*masks, rows.real],
+        )
         query, key, value = (
             part.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for part in (self.query(own), torch.cat(keys, dim=1), torch.cat(values, dim=1))
+            for part in (rows.pad(self.query(own)), torch.cat(keys, dim=1), torch.cat(values, dim=1))
         )
         attended = linear_attention(query, key, value, torch.cat(masks, dim=1)[:, None])
-        return x + self.style(attended.transpose(1, 2).flatten(2), embedding)
+        return x + self.style(rows.pack(attended.transpose(1, 2)).flatten(1), rows, embedding)
 
 
 class RetrievalBlock(nn.Module):
@@ -71,14 +76,14 @@ class RetrievalBlock(nn.Module):
 
     def forward(
         self,
-        x: Float[Tensor, "b t w"],
+        x: Float[Tensor, "m w"],
+        rows: Rows,
         embedding: Float[Tensor, "b e"],
         words: Float[Tensor, "b l c"],
         seen: Bool[Tensor, "b l"],
         retrieved: Retrieved | None,
-        real: Bool[Tensor, "b t"],
-    ) -> Float[Tensor, "b t w"]:
-        return self.mlp(self.attention(x, embedding, words, seen, retrieved, real), embedding)
+    ) -> Float[Tensor, "m w"]:
+        return self.mlp(self.attention(x, rows, embedding, words, seen, retrieved), rows, embedding)
 
 
 class ReMoDiffuseDenoiser(Denoiser):
@@ -146,7 +151,9 @@ class ReMoDiffuseDenoiser(Denoiser):
                 "with token features (reads_tokens: true)"
             )
         seen = text.token_mask
-        return self.text_norm(run(self.text_blocks, self.text_projection(text.tokens), seen)), seen
+        rows = Rows.of(text.tokens, seen)
+        read = run(self.text_blocks, self.text_projection(rows.pack(text.tokens)), rows=rows)
+        return rows.pad(self.text_norm(read)), seen
 
     def forward(
         self,
@@ -159,12 +166,12 @@ class ReMoDiffuseDenoiser(Denoiser):
     ) -> Float[Tensor, "b t d"]:
         """Predict at one time for all rows or one per row, from the words that were read and what was retrieved."""
         seen = condition.new_ones(condition.shape[:2], dtype=torch.bool) if seen is None else seen
-        real = x.new_ones(x.shape[:2], dtype=torch.bool) if real is None else real
+        rows = Rows.of(x, real)
         embedding = self.embed_time(time).expand(len(x), -1)
-        x = self.input_projection(x) + self.positions[: x.shape[1]]
+        x = self.input_projection(rows.pack(x)) + self.positions.index_select(0, rows.place)
         for block in self.blocks:
-            x = block(x, embedding, condition, seen, retrieved, real)
-        return self.output(x)
+            x = block(x, rows, embedding, condition, seen, retrieved)
+        return rows.pad(self.output(x))
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n e"]:
         """Embed a single time (one row, broadcast later) or one time per row, as they are."""

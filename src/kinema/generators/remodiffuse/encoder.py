@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from kinema.generators.remodiffuse.database import Neighbours
+from kinema.nn.rows import Rows
 from kinema.nn.stylization import linear_attention
 from kinema.nn.transformer import TransformerBlock, initialize_as_torch, run
 from kinema.types import frame_mask
@@ -42,12 +43,14 @@ class RetrievedBlock(nn.Module):
         nn.init.zeros_(last.bias)
         self.mlp = nn.Sequential(nn.Linear(width, feedforward), nn.GELU(), last)
 
-    def forward(self, x: Float[Tensor, "n t w"], real: Bool[Tensor, "n t"]) -> Float[Tensor, "n t w"]:
+    def forward(self, x: Float[Tensor, "m w"], rows: Rows) -> Float[Tensor, "m w"]:
         own = self.norm(x)
         query, key, value = (
-            layer(own).unflatten(-1, (self.heads, -1)).transpose(1, 2) for layer in (self.query, self.key, self.value)
+            rows.pad(layer(own)).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for layer in (self.query, self.key, self.value)
         )
-        x = x + linear_attention(query, key, value, real[:, None]).transpose(1, 2).flatten(2)
+        attended = linear_attention(query, key, value, rows.real[:, None])
+        x = x + rows.pack(attended.transpose(1, 2)).flatten(1)
         return x + self.mlp(x)
 
 
@@ -84,16 +87,18 @@ class RetrievalEncoder(nn.Module):
     def forward(self, neighbours: Neighbours) -> Retrieved:
         """Encode each neighbour by itself; a text's feature stands beside every position of its motion."""
         samples, count, frames = neighbours.motions.shape[:3]
-        real = frame_mask(neighbours.lengths.flatten(), frames)
-        x = self.input_projection(neighbours.motions.flatten(0, 1)) + self.positions[:frames]
+        rows = Rows(frame_mask(neighbours.lengths.flatten(), frames))
+        x = self.input_projection(rows.pack(neighbours.motions.flatten(0, 1)))
+        x = x + self.positions.index_select(0, rows.place)
         for block in self.blocks:
-            x = block(x, real)
-        motions, real = x[:, :: self.stride], real[:, :: self.stride]
+            x = block(x, rows)
+        motions, real = rows.pad(x)[:, :: self.stride], rows.real[:, :: self.stride]
         texts = self.read(neighbours)[:, None].expand_as(motions)
         return Retrieved(*(part.unflatten(0, (samples, count)).flatten(1, 2) for part in (motions, texts, real)))
 
     def read(self, neighbours: Neighbours) -> Float[Tensor, "n w"]:
         """Return what was read at the last position of each neighbour's text."""
         tokens, counts = neighbours.tokens.flatten(0, 1), neighbours.token_lengths.flatten()
-        read = run(self.text_blocks, self.text_projection(tokens), frame_mask(counts, tokens.shape[1]))
-        return read[torch.arange(len(read), device=read.device), counts - 1]
+        rows = Rows(frame_mask(counts, tokens.shape[1]))
+        read = run(self.text_blocks, self.text_projection(rows.pack(tokens)), rows=rows)
+        return read[counts.cumsum(0) - 1]

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from kinema.nn.attention import KeyValueCache
 from kinema.nn.embeddings import sinusoidal_positions
+from kinema.nn.rows import Rows
 from kinema.nn.transformer import TransformerBlock, run
 
 EMBEDDING_STD = 0.02
@@ -82,14 +82,17 @@ class TokenEncoder(nn.Module):
         x: Float[Tensor, "b s w"],
         mask: Bool[Tensor, "..."] | None = None,
         caches: Sequence[KeyValueCache] | None = None,
+        real: Bool[Tensor, "b n"] | None = None,
     ) -> Float[Tensor, "b s o"]:
-        """Return the output at every row of what `embed` made; masks as in `Attention`.
+        """Return the output at every position of what `embed` made; masks as in `Attention` (None: all see all).
 
-        A mask over keys that is shorter than `x` is of the tokens alone: the prefix is seen by all.
+        `real` tells the tokens behind the prefix from padding, which isn't computed: its output is zero.
         """
-        if mask is not None and mask.ndim == 2:
-            mask = F.pad(mask, (max(0, x.shape[1] - mask.shape[1]), 0), value=True)
-        return self.output(run(self.blocks, x, mask, caches))
+        if real is None:
+            return self.output(run(self.blocks, x, mask, caches))
+        rows = Rows.behind(x.shape[1] - real.shape[1], real)
+        made = run(self.blocks, rows.pack(x), mask, rows=rows)
+        return rows.pad(self.output(made))
 
     def _place(self, x: Float[Tensor, "b s w"], start: int) -> Float[Tensor, "b s w"]:
         positions = sinusoidal_positions(start + x.shape[1], x.shape[2], x.device)[start:]

@@ -143,7 +143,7 @@ class ResidualTransformer(LatentModel):
         """Return the logits of each sample's layer, PAD last; a zero text vector is the empty condition."""
         one_hot = nn.functional.one_hot(layer, self.quantizers).to(history.dtype)
         prefix = torch.stack((self.encoder.text_projection(text), self.layer_projection(one_hot)), dim=1)
-        x = self.encoder(self.encoder.embed(history, prefix), real)[:, 2:]
+        x = self.encoder(self.encoder.embed(history, prefix), real=real)[:, 2:]
         if self.score_tables is None or self.score_bias is None:
             return x @ self.tables[layer].mT
         return x @ self.score_tables[layer - 1].mT + self.score_bias[layer - 1][:, None]

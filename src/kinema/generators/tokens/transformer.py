@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from kinema.generators.tokens.words import WORDS, visible_words
 from kinema.nn.embeddings import sinusoidal_positions
+from kinema.nn.rows import Rows
 from kinema.nn.transformer import TransformerBlock, initialize, run
 from kinema.options import OneOf, checked
 from kinema.types import Losses, TextFeatures
@@ -75,34 +76,36 @@ class TokenTransformer(nn.Module):
         self,
         ids: Int[Tensor, "b n"],
         text: TextFeatures,
-        mask: Bool[Tensor, "b m"] | Bool[Tensor, "b m m"],
+        real: Bool[Tensor, "b n"],
         extra: Float[Tensor, "b e w"] | None = None,
+        mask: Bool[Tensor, "b m m"] | None = None,
     ) -> Float[Tensor, "b m k"]:
-        """Return logits at every position of [sentence, extra..., ids]: m = 1 + e + n.
+        """Return logits at every position of [sentence, extra..., ids], m = 1 + e + n; zero at ids that aren't `real`.
 
-        `mask` (True = may be seen) is over keys, or over pairs (row sees column). Sinusoids are added to the ids before
-        the words are attended to (if they are), and again to the whole sequence (MMM, BAD §2).
+        `mask` says which row sees which column (None: each all of them), and that none sees padding. Sinusoids are
+        added to the ids before the words are attended to (if they are), and again to the whole sequence (MMM, BAD §2).
         """
         x = self.embed(ids)
         if self.word_projection is not None:
-            x = self._attend_to_words(_with_positions(x), text, self.word_projection)
+            x = self._attend_to_words(_with_positions(x), Rows(real), text, self.word_projection)
         sentence = self.text_projection(text.pooled)[:, None]
         x = torch.cat((sentence, x) if extra is None else (sentence, extra, x), dim=1)
-        x = run(self.base_blocks, _with_positions(x), mask)
-        return self.head(self.norm(run(self.head_blocks, x, mask)))
+        rows = Rows.behind(x.shape[1] - ids.shape[1], real)
+        x = run((*self.base_blocks, *self.head_blocks), rows.pack(_with_positions(x)), mask, rows=rows)
+        return rows.pad(self.head(self.norm(x)))
 
     def embed(self, ids: Int[Tensor, "b n"]) -> Float[Tensor, "b n w"]:
         """Project codebook rows and learned rows."""
         return self.input_projection(F.embedding(ids, torch.cat((self.codebook, self.special.weight))))
 
     def _attend_to_words(
-        self, x: Float[Tensor, "b n w"], text: TextFeatures, project: nn.Linear
+        self, x: Float[Tensor, "b n w"], rows: Rows, text: TextFeatures, project: nn.Linear
     ) -> Float[Tensor, "b n w"]:
-        features, real = visible_words(text, self.words)
-        words = project(features)
+        features, seen = visible_words(text, self.words)
+        words, x = project(features), rows.pack(x)
         for block in self.cross_blocks:
-            x = block(x, real, words)
-        return x
+            x = block(x, seen, words, rows=rows)
+        return rows.pad(x)
 
 
 def with_end(
