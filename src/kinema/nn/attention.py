@@ -74,32 +74,44 @@ class Attention(nn.Module):
             for layer, part in ((self.query, x), (self.key, source), (self.value, source))
         )
         dropout = self.dropout if self.training else 0.0
-        if others is not None and mask is None and not others.whole:
-            if x.is_cpu:
-                attended = by_sequence(query, key, value, others, dropout)
-                return F.dropout(self.proj(attended.flatten(-2)), dropout)
-            mask = others.real[:, None, None]
-        query = query if rows is None else rows.pad(query)
-        key, value = (part if others is None else others.pad(part) for part in (key, value))
-        query, key, value = (part.transpose(1, 2) for part in (query, key, value))
-        if cache is not None:
-            key, value = cache.append(key, value)
-        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask, dropout_p=dropout).transpose(1, 2)
-        attended = attended if rows is None else rows.pack(attended)
+        if others is not None:
+            attended = among(query, key, value, others, mask, dropout)
+        else:
+            query = query if rows is None else rows.pad(query)
+            query, key, value = (part.transpose(1, 2) for part in (query, key, value))
+            if cache is not None:
+                key, value = cache.append(key, value)
+            attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask, dropout_p=dropout)
+            attended = attended.transpose(1, 2) if rows is None else rows.pack(attended.transpose(1, 2))
         return F.dropout(self.proj(attended.flatten(-2)), dropout)
 
 
-def by_sequence(
+def among(
     query: Float[Tensor, "m h d"],
     key: Float[Tensor, "m h d"],
     value: Float[Tensor, "m h d"],
     rows: Rows,
+    mask: Bool[Tensor, "b #h #n n"] | None = None,
     dropout: float = 0.0,
 ) -> Float[Tensor, "m h d"]:
-    """Attend to all rows of one's own sequence, one sequence after the other.
+    """Attend to the rows of one's own sequence, all of them or those that `mask`, over padded positions, shows."""
+    if mask is None and not rows.whole:
+        if query.is_cpu:
+            return _one_by_one(query, key, value, rows, dropout)
+        mask = rows.real[:, None, None]
+    query, key, value = (rows.pad(part).transpose(1, 2) for part in (query, key, value))
+    attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask, dropout_p=dropout)
+    return rows.pack(attended.transpose(1, 2))
 
-    A CPU starts a kernel at no cost worth mentioning: so it takes half of the time that it takes over padding.
-    """
+
+def _one_by_one(
+    query: Float[Tensor, "m h d"],
+    key: Float[Tensor, "m h d"],
+    value: Float[Tensor, "m h d"],
+    rows: Rows,
+    dropout: float,
+) -> Float[Tensor, "m h d"]:
+    """Start a kernel for each sequence, which costs a CPU nothing worth mentioning: half of the time over padding."""
     sequences = (part.transpose(0, 1)[None].split(rows.counts, dim=2) for part in (query, key, value))
     found = [F.scaled_dot_product_attention(q, k, v, dropout_p=dropout) for q, k, v in zip(*sequences, strict=True)]
     return torch.cat(found, dim=2)[0].transpose(0, 1)

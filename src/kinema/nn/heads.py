@@ -11,8 +11,8 @@ from kinema.nn.norms import RMSNorm
 from kinema.nn.rotary import rotary
 from kinema.nn.rows import Rows
 
-Heads = tuple[Float[Tensor, "b h q d"], Float[Tensor, "b h k d"], Float[Tensor, "b h k d"]]
-"""Queries, keys and values, padded."""
+Heads = tuple[Float[Tensor, "m h d"], Float[Tensor, "m h d"], Float[Tensor, "m h d"]]
+"""Queries, keys and values."""
 
 
 class Projections(nn.Module):
@@ -37,22 +37,26 @@ class Projections(nn.Module):
         query, key = self.query_norm(query), self.key_norm(key)
         if base is not None:
             query, key = rotary(query, rows.place, base), rotary(key, rows.place, base)
-        return _padded(query, rows), _padded(key, rows), _padded(value, rows)
+        return query, key, value
 
     def held(self, context: Float[Tensor, "m w"], others: Rows) -> Float[Tensor, "b l k"]:
         """Make the keys and values of a context, side by side, padded."""
         key, value = self._heads(context, 1, 3)
         return others.pad(torch.cat((self.key_norm(key), value), dim=1).flatten(1))
 
-    def across(self, x: Float[Tensor, "m w"], rows: Rows, held: Float[Tensor, "b l e"]) -> Heads:
-        """Make queries of `x`; keys and values are those that a context holds."""
+    def across(
+        self, x: Float[Tensor, "m w"], rows: Rows, held: Float[Tensor, "b l e"], seen: Bool[Tensor, "b l"]
+    ) -> Float[Tensor, "m w"]:
+        """Attend to those of a context that it holds and that are seen."""
         (query,) = self._heads(x, 0, 1)
+        query = rows.pad(self.query_norm(query)).transpose(1, 2)
         key, value = held.unflatten(-1, (2, self.heads, -1)).permute(2, 0, 3, 1, 4)
-        return _padded(self.query_norm(query), rows), key, value
+        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=seen[:, None, None])
+        return self.join(rows.pack(attended.transpose(1, 2)))
 
-    def join(self, attended: Float[Tensor, "b h n d"], rows: Rows) -> Float[Tensor, "m w"]:
+    def join(self, attended: Float[Tensor, "m h d"]) -> Float[Tensor, "m w"]:
         """Lay the heads of each row side by side and project."""
-        return self.proj(rows.pack(attended.transpose(1, 2)).flatten(1))
+        return self.proj(attended.flatten(1))
 
     def _heads(self, x: Tensor, start: int, end: int) -> tuple[Float[Tensor, "m h d"], ...]:
         width = x.shape[-1]
@@ -85,10 +89,4 @@ class CrossAttention(nn.Module):
         self, x: Float[Tensor, "m w"], rows: Rows, held: Float[Tensor, "b l e"], seen: Bool[Tensor, "b l"]
     ) -> Float[Tensor, "m w"]:
         """Attend to those of a context that `read` made, where `seen` shows them."""
-        heads = self.attention.across(self.norm(x), rows, held)
-        attended = F.scaled_dot_product_attention(*heads, attn_mask=seen[:, None, None])
-        return self.attention.join(attended, rows)
-
-
-def _padded(x: Float[Tensor, "m h d"], rows: Rows) -> Float[Tensor, "b h n d"]:
-    return rows.pad(x).transpose(1, 2)
+        return self.attention.across(self.norm(x), rows, held, seen)

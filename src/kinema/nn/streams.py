@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.nn.attention import among
 from kinema.nn.heads import CrossAttention, Projections
 from kinema.nn.modulation import modulate
 from kinema.nn.norms import RMSNorm
@@ -71,11 +72,9 @@ class Stream(nn.Module):
         self.mlp = SwiGLU(width, hidden)
         self.modulation = Modulation(width, 6, shared)
 
-    def attended(
-        self, x: Float[Tensor, "m w"], attended: Float[Tensor, "b h n d"], rows: Rows, ways: Ways
-    ) -> Float[Tensor, "m w"]:
+    def attended(self, x: Float[Tensor, "m w"], attended: Float[Tensor, "m h d"], ways: Ways) -> Float[Tensor, "m w"]:
         """Add what was attended to, gated."""
-        return x + ways[2] * self.attention.join(attended, rows)
+        return x + ways[2] * self.attention.join(attended)
 
     def transformed(self, x: Float[Tensor, "m w"], ways: Ways) -> Float[Tensor, "m w"]:
         """Add the gated transformation of each row."""
@@ -95,11 +94,11 @@ class Context(nn.Module):
 
     def forward(
         self, x: Float[Tensor, "m w"], condition: Float[Tensor, "b c"], rows: Rows
-    ) -> tuple[Float[Tensor, "b h n d"], Float[Tensor, "b h n d"]]:
+    ) -> tuple[Float[Tensor, "m h d"], Float[Tensor, "m h d"]]:
         """Return keys and values."""
         x = modulate(self.norm1(x), *self.modulation(condition, rows))
         key, value = self.kv(x).unflatten(-1, (2, self.heads, -1)).unbind(1)
-        return rows.pad(self.key_norm(key)).transpose(1, 2), rows.pad(value).transpose(1, 2)
+        return self.key_norm(key), value
 
 
 class JointBlock(nn.Module):
@@ -126,17 +125,18 @@ class JointBlock(nn.Module):
         part, ways, size = self.motion, self.motion.modulation(condition, frames), words.real.shape[1]
         own = part.attention.split(modulate(part.norm1(motion), ways[0], ways[1]), frames, base=BASE)
         if isinstance(self.text, Context):
-            keys, values = self.text(text, condition, words)
-            heads = own[0], torch.cat((keys, own[1]), dim=2), torch.cat((values, own[2]), dim=2)
+            query = frames.pad(own[0]).transpose(1, 2)
+            read = zip(self.text(text, condition, words), own[1:], strict=True)
+            key, value = (_beside(words, theirs, frames, ours) for theirs, ours in read)
             mask = mask[:, :, -frames.real.shape[1] :]
-            attended = F.scaled_dot_product_attention(*heads, attn_mask=mask)
-            return part.transformed(part.attended(motion, attended, frames, ways), ways), text
+            attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask).transpose(1, 2)
+            return part.transformed(part.attended(motion, frames.pack(attended), ways), ways), text
         other, others = self.text, self.text.modulation(condition, words)
-        read = other.attention.split(modulate(other.norm1(text), others[0], others[1]), words)
-        query, key, value = (torch.cat(both, dim=2) for both in zip(read, own, strict=True))
-        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask)
-        motion = part.attended(motion, attended[:, :, size:], frames, ways)
-        text = other.attended(text, attended[:, :, :size], words, others)
+        read = zip(other.attention.split(modulate(other.norm1(text), others[0], others[1]), words), own, strict=True)
+        query, key, value = (_beside(words, theirs, frames, ours) for theirs, ours in read)
+        attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask).transpose(1, 2)
+        motion = part.attended(motion, frames.pack(attended[:, size:]), ways)
+        text = other.attended(text, words.pack(attended[:, :size]), others)
         return part.transformed(motion, ways), other.transformed(text, others)
 
 
@@ -153,7 +153,7 @@ class CrossBlock(nn.Module):
         x: Float[Tensor, "m w"],
         rows: Rows,
         condition: Float[Tensor, "b c"],
-        mask: Bool[Tensor, "b 1 #q k"],
+        mask: Bool[Tensor, "b 1 #q k"] | None = None,
         held: Float[Tensor, "b l e"] | None = None,
         seen: Bool[Tensor, "b l"] | None = None,
         *,
@@ -162,7 +162,14 @@ class CrossBlock(nn.Module):
         """Transform `x`; `mask`, True = may be seen, is over its own positions; `held` is what `cross` read."""
         part, ways = self.stream, self.stream.modulation(condition, rows)
         heads = part.attention.split(modulate(part.norm1(x), ways[0], ways[1]), rows, base=base)
-        x = part.attended(x, F.scaled_dot_product_attention(*heads, attn_mask=mask), rows, ways)
+        x = part.attended(x, among(*heads, rows, mask), ways)
         if self.cross is not None and held is not None and seen is not None:
             x = x + self.cross(x, rows, held, seen)
         return part.transformed(x, ways)
+
+
+def _beside(
+    words: Rows, text: Float[Tensor, "l h d"], frames: Rows, motion: Float[Tensor, "m h d"]
+) -> Float[Tensor, "b h n d"]:
+    """Lay heads of the motion behind those of the text, padded."""
+    return torch.cat((words.pad(text), frames.pad(motion)), dim=1).transpose(1, 2)

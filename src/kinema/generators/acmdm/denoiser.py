@@ -85,9 +85,8 @@ class AcmdmDenoiser(Denoiser):
         tokens = self.motion_in(rows.pack(x.unflatten(2, (self.patches, -1)).flatten(1, 2)))
         embedded = timestep_embedding(time.reshape(-1), FREQUENCIES).to(tokens.dtype)
         c = F.silu(self.time(embedded) + condition[:, 0])
-        mask = rows.real[:, None, None]
         for block in self.blocks:
-            tokens = block(tokens, rows, c, mask, base=self.base)
+            tokens = block(tokens, rows, c, base=self.base)
         shift, scale = self.modulation(c, rows)
         out = self.motion_out(modulate(self.norm(tokens), shift, scale))
         return rows.pad(out).unflatten(1, (-1, self.patches)).flatten(2)

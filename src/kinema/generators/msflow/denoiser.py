@@ -124,7 +124,7 @@ class MsflowDenoiser(Denoiser):
             motion = self._beside(motion, rows, text, Rows(words), c, mask)
         else:
             size = words.shape[1]
-            own = mask[:, :, size:, size:] if self.causal else mask[..., size:]
+            own = mask[:, :, size:, size:] if self.causal else None
             held = held if self.refines_once else self._held(text, Rows(words))
             for block, part in zip(self.blocks, held.chunk(len(self.blocks), dim=-1), strict=True):
                 motion = block(motion, rows, c, own, part, words)
