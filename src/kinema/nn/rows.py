@@ -45,7 +45,7 @@ class Rows:
     def pad(self, rows: Shaped[Tensor, "m *c"]) -> Shaped[Tensor, "b n *c"]:
         """Put rows in their places, zero elsewhere."""
         if not self.whole:
-            rows = rows.new_zeros(self.real.numel(), *rows.shape[1:]).index_copy(0, self.taken, rows)
+            rows = rows.new_zeros(self.real.numel(), *rows.shape[1:]).index_copy_(0, self.taken, rows)
         return rows.unflatten(0, tuple(self.real.shape))
 
     def spread(self, values: Float[Tensor, "b c"]) -> Float[Tensor, "m c"]:
