@@ -176,6 +176,9 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     results = with_borrowed([group[0] for group in groups.values()], found)
     shown = {key: group for key, group in groups.items() if group[0].spec.get("shown", True)}
     filled = {**table, "rows": [_filled(group, published, results[key]) for key, group in shown.items()]}
+    compared = {key for effect in table.get("effects", ()) for key in effect["columns"]}
+    for row, group in zip(filled["rows"], shown.values(), strict=True):
+        row["draws"] = _draws(group, compared)
     filled.pop("paper")
     filled["panel"] = panel if published else None
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
@@ -279,6 +282,15 @@ def _lines(row: TableRow, asked: Collection[str]) -> list[dict[str, Any]]:
     return [
         {**line["metrics"], **{key: value for key, value in more.items() if key in asked}}
         for line, more in zip(row.lines, beside, strict=True)
+    ]
+
+
+def _draws(group: Group, compared: Collection[str]) -> list[dict[str, Any]] | None:
+    """Return the metrics that effects compare, by training seed and replication; None for a single seed."""
+    if len(group) == 1 or "metrics" in group[0].spec or not all(row.complete for row in group):
+        return None
+    return [
+        {key: line["metrics"][key] for key in compared if key in line["metrics"]} for row in group for line in row.lines
     ]
 
 

@@ -16,12 +16,16 @@ HEADINGS = ("effect", "metric", "here", "paper", "")
 
 @dataclass(frozen=True)
 class Effect:
-    """Hold what one metric of a row has more than another row's; `paper` is the difference of published means."""
+    """Hold what one metric of a row has more than another row's; `paper` is the difference of published means.
+
+    Where `ours` is over training seeds, `draws` is over all their replications: it holds the evaluation's draws alone.
+    """
 
     what: str
     column: Column
     ours: Value | None
     paper: float | None
+    draws: Value | None = None
 
     @property
     def verdict(self) -> str:
@@ -41,6 +45,8 @@ class Effect:
         """Write it under `HEADINGS`."""
         digits = self.column.digits
         ours = "" if self.ours is None else _signed(self.ours.text(digits))
+        if self.draws is not None:
+            ours += f" ({_signed(self.draws.text(digits))} over {self.draws.count})"
         paper = "" if self.paper is None else _signed(f"{self.paper:.{digits}f}")
         return (self.what, self.column.heading, ours, paper, self.verdict)
 
@@ -53,7 +59,7 @@ def effects(table: dict[str, Any], main: Grid) -> list[Effect]:
     """
     columns = {column.key: (i, column) for i, column in enumerate(main.columns)}
     lines = {line.key: line for line in main.lines}
-    results = {row["key"]: row.get("results") or [] for row in table["rows"]}
+    results, draws = ({row["key"]: row.get(name) or [] for row in table["rows"]} for name in ("results", "draws"))
     found = []
     for spec in table.get("effects", ()):
         for kind, keys, known in (("row", (spec["row"], spec["than"]), lines), ("column", spec["columns"], columns)):
@@ -62,10 +68,12 @@ def effects(table: dict[str, Any], main: Grid) -> list[Effect]:
                     raise ValueError(f"effect {spec['what']!r}: no {kind} {key!r}; {kind}s: {', '.join(known)}")
         for key in spec["columns"]:
             i, column = columns[key]
-            more, less = results[spec["row"]], results[spec["than"]]
-            ours = _difference(key, more, less, main.intervals)
+            ours, drawn = (
+                _difference(key, values[spec["row"]], values[spec["than"]], main.intervals)
+                for values in (results, draws)
+            )
             paper = _published(lines[spec["row"]], lines[spec["than"]], i)
-            found.append(Effect(spec["what"], column, ours, paper))
+            found.append(Effect(spec["what"], column, ours, paper, drawn))
     return found
 
 
@@ -73,10 +81,11 @@ def csv_text(found: list[Effect]) -> str:
     """Write one line per effect."""
     file = io.StringIO()
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["effect", "metric", "difference", "half", "n", "paper", "verdict"])
+    writer.writerow(["effect", "metric", "difference", "half", "n", "half of draws", "draws", "paper", "verdict"])
     for effect in found:
-        ours = effect.ours or Value(float("nan"), None, 0)
-        numbers = ["" if x is None else f"{x:.8g}" for x in (ours.mean, ours.half, ours.count, effect.paper)]
+        ours, draws = effect.ours or Value(float("nan"), None, 0), effect.draws or Value(float("nan"), None)
+        found_numbers = (ours.mean, ours.half, ours.count, draws.half, draws.count, effect.paper)
+        numbers = ["" if x is None else f"{x:.8g}" for x in found_numbers]
         writer.writerow([spreadsheet(effect.what), spreadsheet(effect.column.key), *numbers, effect.verdict])
     return file.getvalue()
 

@@ -51,7 +51,10 @@ def effects_legend(main: Grid) -> str:
     """Say what the differences of a table are."""
     how = explain(main.intervals, [line.replications for line in main.lines])
     if any(line.seeds for line in main.lines):
-        return f"First row minus second, training seed by training seed, and its 95 % interval over them ({how})."
+        return (
+            f"First row minus second, training seed by training seed, and its 95 % interval over them ({how}); in "
+            "brackets over all replications of these seeds, which hold the evaluation's draws and no other training's."
+        )
     return (
         f"First row minus second, replication by replication, and its 95 % interval ({how}): over the evaluation's own "
         "draws, not over training seeds."
