@@ -56,8 +56,10 @@ def main() -> None:
         asked = read_motions(store, "test", size * (1 + options.batches))
         model = untrained(cfg, store, asked)
         model.generator.train()
-        spent = {"rows": 0.0, "padded": 0.0}
-        for start in range(0, len(asked.lengths) - size + 1, size):
+        spent, starts = {"rows": 0.0, "padded": 0.0}, range(0, len(asked.lengths) - size + 1, size)
+        if len(starts) < 2:
+            raise SystemExit(f"{method}: {len(asked.lengths)} test motions make no two batches of {size}")
+        for start in starts:
             batch = cut(asked, start, size)
             text = replace(model.text_encoder(batch.texts), clip_ids=batch.clip_ids)
             for name, own in (("rows", batch), ("padded", lengthened(batch))):
@@ -65,7 +67,7 @@ def main() -> None:
                 begin = time.process_time()
                 model.generator.loss(latents, text)["loss"].backward()
                 spent[name] += (time.process_time() - begin) * (start > 0)  # the first one warms up
-        ms = 1e3 * spent["rows"] / options.batches
+        ms = 1e3 * spent["rows"] / (len(starts) - 1)
         print(f"{method:24} batch {size:3} {ms:7.1f} ms; padded x {spent['padded'] / spent['rows']:.2f}")
 
 

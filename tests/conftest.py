@@ -157,7 +157,7 @@ def open_mocap() -> Path:
 @pytest.fixture(scope="session")
 def shipped() -> Path:
     """Return the folder of the package's model, or skip: `tests/test_package.py` fails without it."""
-    folder = ROOT / "src" / "kinema" / "models" / "mardm-sit-open-mocap"
+    folder = ROOT / "src" / "kinema" / "models" / "latent-flow-open-mocap"
     if not (folder / "weights.safetensors").is_file():
         pytest.skip(f"the model of the package is absent: {folder}")
     return folder

@@ -31,12 +31,15 @@ def test_files_and_folders_are_for_others_to_read_as_the_umask_says(tmp_path):
     before = os.umask(0o022)
     try:
         write_text(tmp_path / "a.txt", "")
+        with replacing(tmp_path / "c.bin") as temporary:  # as safetensors does
+            temporary.touch(mode=0o600)
         with new_folder(tmp_path / "b"):
             pass
     finally:
         os.umask(before)
     assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in "b"] == [0o755]
-    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o644
+    assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("a.txt", "c.bin")] == [0o644] * 2
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.txt", "b", "c.bin"]
 
 
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path):

@@ -133,5 +133,5 @@ def test_an_installed_kinema_trains_scores_and_reports(installed, empty, micro, 
 def test_an_installed_kinema_makes_motion_far_from_any_corpus_or_network(installed, shipped, empty):
     installed("generate", "a person waves with the left hand", "--out", "wave.html")
     assert (empty / "wave.html").stat().st_size > 10_000
-    assert "mardm-sit-open-mocap" in installed("models").stdout
+    assert "latent-flow-open-mocap" in installed("models").stdout
     (empty / "wave.html").unlink()

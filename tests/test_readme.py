@@ -223,7 +223,7 @@ def checkout(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("code", blocks("python"))
 def test_python_runs(code, checkout, request):
-    if "mardm-sit-open-mocap" in code:
+    if "latent-flow-open-mocap" in code:
         request.getfixturevalue("shipped")
     for _ in range(2):
         exec(compile(code, "example", "exec"), {"__name__": "example"})

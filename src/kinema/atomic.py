@@ -11,6 +11,7 @@ import re
 import secrets
 import shutil
 import socket
+import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,6 +22,18 @@ ABANDONED = 24 * 3600
 """Seconds after which a temporary file that nobody touches is a killed process' (of one on this machine: at once)."""
 
 _LEFT = r"-(?:(?P<machine>[0-9a-f]{8})-(?P<process>\d+)-)?[0-9a-f]{8}"
+
+
+def _share(file: Path) -> None:
+    """Give a file that a library wrote for its owner alone, as safetensors does, the permissions of a new file."""
+    if os.name == "nt" or file.stat().st_mode & 0o077:
+        return
+    beside = file.with_name(f"{file.name}.mode")
+    beside.touch()
+    try:
+        file.chmod(stat.S_IMODE(beside.stat().st_mode))
+    finally:
+        beside.unlink()
 
 
 @contextmanager
@@ -41,6 +54,7 @@ def replacing(path: str | Path, *, sole: bool = False, sync: bool = False) -> It
             if sync:
                 with temporary.open("r+b") as file:
                     os.fsync(file.fileno())
+            _share(temporary)
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from kinema.nn.attention import Attention
+from kinema.nn.attention import LONG, Attention, KeyValueCache
 from kinema.nn.rows import Rows
 
 
@@ -45,25 +45,34 @@ def test_pair_mask_is_causal(attention):
     torch.testing.assert_close(attention(x, causal)[:, :3], attention(changed, causal)[:, :3])
 
 
-LENGTHS = torch.tensor([4, 0, 6, 1])
+LENGTHS = torch.tensor([4, 0, LONG, 1])
+"""Rows of a batch that a CPU attends to one sequence after the other."""
 
 
-@pytest.mark.parametrize("lengths", [LENGTHS, torch.full((4,), 6)])
+@pytest.mark.parametrize("lengths", [LENGTHS, LENGTHS.clamp(max=6), torch.full((4,), 6)])
 def test_rows_attend_to_their_own_sequence(attention, lengths):
-    x, context, seen = torch.randn(4, 6, 12), torch.randn(4, 5, 12), torch.rand(4, 5) < 0.7
+    size = int(lengths.max())
+    x, context, seen = torch.randn(4, size, 12), torch.randn(4, 5, 12), torch.rand(4, 5) < 0.7
     seen[:, 0] = True
-    rows = Rows(torch.arange(6) < lengths[:, None])
+    rows = Rows(torch.arange(size) < lengths[:, None])
     packed = rows.pack(x)
     expected = rows.pack(attention(x, rows.real))
     torch.testing.assert_close(attention(packed, rows=rows), expected)
-    torch.testing.assert_close(attention(packed, rows.real, rows=rows), expected)  # what a GPU does
+    everything = torch.ones(1, size, size, dtype=torch.bool)  # shows padding, which stays hidden
+    torch.testing.assert_close(attention(packed, everything, rows=rows), expected)
     torch.testing.assert_close(attention(packed, seen, context, rows=rows), rows.pack(attention(x, seen, context)))
-    causal = torch.ones(1, 6, 6, dtype=torch.bool).tril()
+    causal = everything.tril()
     torch.testing.assert_close(attention(packed, causal, rows=rows), rows.pack(attention(x, causal)))
 
 
+def test_rows_have_no_cache(attention):
+    rows = Rows.of(torch.zeros(1, 4))
+    with pytest.raises(ValueError, match="a cache holds positions of padded sequences"):
+        attention(torch.randn(4, 12), cache=KeyValueCache(4), rows=rows)
+
+
 def test_gradients_of_rows_are_those_of_padding(attention):
-    x, rows = torch.randn(4, 6, 12, requires_grad=True), Rows(torch.arange(6) < LENGTHS[:, None])
+    x, rows = torch.randn(4, LONG, 12, requires_grad=True), Rows(torch.arange(LONG) < LENGTHS[:, None])
     weight = torch.randn(int(LENGTHS.sum()), 12)
     found = [
         torch.autograd.grad((weight * made).sum(), (x, *attention.parameters()))

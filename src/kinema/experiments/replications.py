@@ -48,6 +48,15 @@ def over_seeds(found: list[list[dict[str, float]]]) -> list[dict[str, float]]:
     return found[0] if len(found) == 1 else [_mean(lines) for lines in found]
 
 
+def over_replications(found: list[list[dict[str, float]]]) -> list[dict[str, float]]:
+    """Return the mean over training seeds of each replication.
+
+    The same replication has the same captions, crops and noise in all of them: what these means vary by is the
+    evaluation's own draws.
+    """
+    return [_mean(list(lines)) for lines in zip(*found, strict=True)]
+
+
 def _mean(lines: list[dict[str, float]]) -> dict[str, float]:
     keys = [key for key in lines[0] if all(key in line for line in lines)]
     return {key: math.fsum(line[key] for line in lines) / len(lines) for key in keys}

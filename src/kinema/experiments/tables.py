@@ -16,7 +16,7 @@ from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import CONF, compose, plain
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.evaluation import Row, describe
-from kinema.experiments.replications import EACH, over_seeds
+from kinema.experiments.replications import EACH, over_replications, over_seeds
 from kinema.experiments.spent import spent
 from kinema.experiments.stages import stages
 
@@ -286,12 +286,11 @@ def _lines(row: TableRow, asked: Collection[str]) -> list[dict[str, Any]]:
 
 
 def _draws(group: Group, compared: Collection[str]) -> list[dict[str, Any]] | None:
-    """Return the metrics that effects compare, by training seed and replication; None for a single seed."""
+    """Return the metrics that effects compare, by replication over all training seeds; None for a single one."""
     if len(group) == 1 or "metrics" in group[0].spec or not all(row.complete for row in group):
         return None
-    return [
-        {key: line["metrics"][key] for key in compared if key in line["metrics"]} for row in group for line in row.lines
-    ]
+    found = over_replications([[line["metrics"] for line in row.lines] for row in group])
+    return [{key: metrics[key] for key in compared if key in metrics} for metrics in found]
 
 
 def _filled(group: Group, published: dict[str, Any], results: list[dict[str, Any]] | None) -> dict[str, Any]:

@@ -63,19 +63,21 @@ class Attention(nn.Module):
         A mask over keys alone has the shape (b, k); one over pairs (b, q, k) or (b, heads, q, k). With a `cache` (self-
         attention) the keys are all positions it holds, those of `x` appended; a query that is refused every key gets
         zeros before the output projection.
-        With `rows`, `x` (m w) has those of a batch and each attends to its own sequence; a mask, which hides padding
-        too, is over padded positions all the same.
+        With `rows`, `x` (m w) has those of a batch and each attends to its own sequence, all of it or what a mask over
+        padded positions shows; there is no cache then.
         """
+        if rows is not None and cache is not None:
+            raise ValueError("a cache holds positions of padded sequences; give it without rows")
         if mask is not None and mask.ndim < 4:
             mask = mask[:, None, None, :] if mask.ndim == 2 else mask[:, None]
-        source, others = (x, rows) if context is None else (context, None)
+        source = x if context is None else context
         query, key, value = (
             layer(part).unflatten(-1, (self.heads, -1))
             for layer, part in ((self.query, x), (self.key, source), (self.value, source))
         )
         dropout = self.dropout if self.training else 0.0
-        if others is not None:
-            attended = among(query, key, value, others, mask, dropout)
+        if rows is not None and context is None:
+            attended = attend_within(query, key, value, rows, mask, dropout)
         else:
             query = query if rows is None else rows.pad(query)
             query, key, value = (part.transpose(1, 2) for part in (query, key, value))
@@ -86,7 +88,11 @@ class Attention(nn.Module):
         return F.dropout(self.proj(attended.flatten(-2)), dropout)
 
 
-def among(
+LONG = 32
+"""Positions from which on a CPU is faster at one sequence after the other than at padded ones."""
+
+
+def attend_within(
     query: Float[Tensor, "m h d"],
     key: Float[Tensor, "m h d"],
     value: Float[Tensor, "m h d"],
@@ -95,10 +101,11 @@ def among(
     dropout: float = 0.0,
 ) -> Float[Tensor, "m h d"]:
     """Attend to the rows of one's own sequence, all of them or those that `mask`, over padded positions, shows."""
-    if mask is None and not rows.whole:
-        if query.is_cpu:
-            return _one_by_one(query, key, value, rows, dropout)
-        mask = rows.real[:, None, None]
+    if mask is None and not rows.whole and query.is_cpu and rows.real.shape[1] >= LONG:
+        return _one_by_one(query, key, value, rows, dropout)
+    if not rows.whole:
+        real = rows.real[:, None, None]
+        mask = real if mask is None else mask & real
     query, key, value = (rows.pad(part).transpose(1, 2) for part in (query, key, value))
     attended = F.scaled_dot_product_attention(query, key, value, attn_mask=mask, dropout_p=dropout)
     return rows.pack(attended.transpose(1, 2))
@@ -111,7 +118,7 @@ def _one_by_one(
     rows: Rows,
     dropout: float,
 ) -> Float[Tensor, "m h d"]:
-    """Start a kernel for each sequence, which costs a CPU nothing worth mentioning: half of the time over padding."""
+    """Start a kernel for each sequence, which costs a CPU little: half of the time over padding where they are long."""
     sequences = (part.transpose(0, 1)[None].split(rows.counts, dim=2) for part in (query, key, value))
     found = [F.scaled_dot_product_attention(q, k, v, dropout_p=dropout) for q, k, v in zip(*sequences, strict=True)]
     return torch.cat(found, dim=2)[0].transpose(0, 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from kinema.nn.attention import Attention
@@ -45,14 +45,12 @@ class AdaLNBlock(nn.Module):
         x: Float[Tensor, "m w"],
         rows: Rows,
         condition: Float[Tensor, "b w"],
-        context: Float[Tensor, "b l w"] | None = None,
-        seen: Bool[Tensor, "b l"] | None = None,
+        context: Float[Tensor, "l w"] | None = None,
+        words: Rows | None = None,
     ) -> Float[Tensor, "m w"]:
-        """Attend over the `rows` of each sequence, and over what of its context is `seen` (None: all)."""
-        ways = rows.spread(self.modulation(condition)).chunk(6, dim=-1)
-        shift1, scale1, gate1, shift2, scale2, gate2 = ways
+        """Attend over the `rows` of each sequence, and over those of its context, whose rows are `words`."""
+        shift1, scale1, gate1, shift2, scale2, gate2 = rows.spread(self.modulation(condition)).chunk(6, dim=-1)
         x = x + gate1 * self.attention(modulate(self.norm(x), shift1, scale1), rows=rows)
-        if self.cross is not None and context is not None:
-            others = Rows.of(context, seen)
-            x = x + self.cross(x, rows, self.cross.read(others.pack(context), others), others.real)
+        if self.cross is not None and context is not None and words is not None:
+            x = x + self.cross(x, rows, self.cross.read(context, words), words.real)
         return x + gate2 * self.mlp(modulate(self.norm(x), shift2, scale2))

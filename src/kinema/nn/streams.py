@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from kinema.nn.attention import among
+from kinema.nn.attention import attend_within
 from kinema.nn.heads import CrossAttention, Projections
 from kinema.nn.modulation import modulate
 from kinema.nn.norms import RMSNorm
@@ -159,10 +159,13 @@ class CrossBlock(nn.Module):
         *,
         base: float = BASE,
     ) -> Float[Tensor, "m w"]:
-        """Transform `x`; `mask`, True = may be seen, is over its own positions; `held` is what `cross` read."""
+        """Transform `x`; it attends to its own sequence, or what `mask` over padded positions shows of it.
+
+        `held` is what `cross` read.
+        """
         part, ways = self.stream, self.stream.modulation(condition, rows)
         heads = part.attention.split(modulate(part.norm1(x), ways[0], ways[1]), rows, base=base)
-        x = part.attended(x, among(*heads, rows, mask), ways)
+        x = part.attended(x, attend_within(*heads, rows, mask), ways)
         if self.cross is not None and held is not None and seen is not None:
             x = x + self.cross(x, rows, held, seen)
         return part.transformed(x, ways)

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from kinema.nn.attention import attend_within
 from kinema.nn.modulation import modulate
 from kinema.nn.rows import Rows
 
@@ -74,21 +75,24 @@ class StylizedAttention(nn.Module):
     ) -> Float[Tensor, "m w"]:
         """Attend to the rows of one's own sequence, or to what of its context is `seen` (None: all)."""
         own = self.norm(x)
-        mask = rows.real if context is None else seen
-        if context is None:
-            key, value = rows.pad(self.key(own)), rows.pad(self.value(own))
-        else:
-            context = self.context_norm(context)
-            key, value = self.key(context), self.value(context)
+        source = own if context is None else self.context_norm(context)
         query, key, value = (
-            part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in (rows.pad(self.query(own)), key, value)
+            layer(part).unflatten(-1, (self.heads, -1))
+            for layer, part in ((self.query, own), (self.key, source), (self.value, source))
         )
+        dropout = self.dropout if self.training else 0.0
+        if context is None and not self.linear:
+            attended = attend_within(query, key, value, rows, dropout=dropout)
+            return x + self.style(attended.flatten(1), rows, embedding)
+        if context is None:
+            key, value, seen = rows.pad(key), rows.pad(value), None if rows.whole else rows.real
+        query, key, value = (part.transpose(1, 2) for part in (rows.pad(query), key, value))
+        shown = None if seen is None else seen[:, None]
         if self.linear:
-            attended = linear_attention(query, key, value, None if mask is None else mask[:, None])
+            attended = linear_attention(query, key, value, shown)
         else:
-            dropout = self.dropout if self.training else 0.0
-            shown = None if mask is None else mask[:, None, None]
-            attended = F.scaled_dot_product_attention(query, key, value, attn_mask=shown, dropout_p=dropout)
+            pairs = None if shown is None else shown[:, :, None]
+            attended = F.scaled_dot_product_attention(query, key, value, attn_mask=pairs, dropout_p=dropout)
         return x + self.style(rows.pack(attended.transpose(1, 2)).flatten(1), rows, embedding)
 
 

@@ -74,14 +74,13 @@ class DecoderBlock(nn.Module):
         self,
         x: Float[Tensor, "*q w"],
         context: Float[Tensor, "b k w"],
-        mask: Bool[Tensor, "..."] | None = None,
-        context_mask: Bool[Tensor, "..."] | None = None,
+        seen: Bool[Tensor, "b k"] | None = None,
         rows: Rows | None = None,
     ) -> Float[Tensor, "*q w"]:
-        """Transform `x`, padded or the `rows` of a batch; masks over its own and the context's as in `Attention`."""
+        """Transform `x`, padded or the `rows` of a batch; of the context it reads what is `seen` (None: all)."""
         block = self.block
-        x = block.norm1(x + block.attention(x, mask, rows=rows))
-        x = self.cross_norm(x + self.cross(x, context_mask, context, rows=rows))
+        x = block.norm1(x + block.attention(x, rows=rows))
+        x = self.cross_norm(x + self.cross(x, seen, context, rows=rows))
         return block.norm2(x + block.mlp(x))
 
 

@@ -13,7 +13,7 @@ from kinema.runs.parts import TEXT, UPSTREAM
 from kinema.text.files import is_hub_id, require
 
 SHIPPED = Path(__file__).resolve().parents[1] / "models"
-DEFAULT = "mardm-sit-open-mocap"
+DEFAULT = "latent-flow-open-mocap"
 """The model that is taken where none is named."""
 WEIGHTS = RunFolder(Path()).weights.name
 FILES = (CARD, PAGE, REPERTOIRE, UPSTREAM, TEXT, "status.json", WEIGHTS, f"*/{WEIGHTS}")

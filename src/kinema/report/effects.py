@@ -18,7 +18,8 @@ HEADINGS = ("effect", "metric", "here", "paper", "")
 class Effect:
     """Hold what one metric of a row has more than another row's; `paper` is the difference of published means.
 
-    Where `ours` is over training seeds, `draws` is over all their replications: it holds the evaluation's draws alone.
+    Where `ours` is over training seeds, `draws` is over replications, each the mean of these seeds': it holds the
+    evaluation's draws alone.
     """
 
     what: str
@@ -46,7 +47,7 @@ class Effect:
         digits = self.column.digits
         ours = "" if self.ours is None else _signed(self.ours.text(digits))
         if self.draws is not None:
-            ours += f" ({_signed(self.draws.text(digits))} over {self.draws.count})"
+            ours += f" (draws: {_signed(self.draws.text(digits))})"
         paper = "" if self.paper is None else _signed(f"{self.paper:.{digits}f}")
         return (self.what, self.column.heading, ours, paper, self.verdict)
 

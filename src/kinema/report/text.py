@@ -53,7 +53,7 @@ def effects_legend(main: Grid) -> str:
     if any(line.seeds for line in main.lines):
         return (
             f"First row minus second, training seed by training seed, and its 95 % interval over them ({how}); in "
-            "brackets over all replications of these seeds, which hold the evaluation's draws and no other training's."
+            "brackets over replications, each the mean of these seeds: what the evaluation's draws change."
         )
     return (
         f"First row minus second, replication by replication, and its 95 % interval ({how}): over the evaluation's own "

@@ -77,12 +77,12 @@ def training(model: BAD, steps: int = 3) -> list[Panel]:
     latents = Latents(lengths, lengths * 4, codes=torch.arange(TOKENS)[None, :, None])
     text = TextFeatures([""], torch.zeros(1, 8))
 
-    def record(module: torch.nn.Module, inputs: tuple[Any, ...]) -> None:
-        ids, _, visible = inputs[0][0], inputs[1], inputs[2][0]
+    def record(module: torch.nn.Module, inputs: tuple[Any, ...], named: dict[str, Any]) -> None:
+        ids, visible = inputs[0][0], named["mask"][0]
         masked, orders = ids >= model.first_mask, ids - model.first_mask
         panels.append(panel(f"{int(masked.sum())} of {TOKENS} masked", visible, orders, masked, TOKENS))
 
-    hook = model.transformer.register_forward_pre_hook(record)
+    hook = model.transformer.register_forward_pre_hook(record, with_kwargs=True)
     for seed in range(steps):
         model.loss(latents, text, generator=torch.Generator().manual_seed(seed))
     hook.remove()

@@ -111,7 +111,7 @@ class BAD(CodebookReader):
         ids, real = with_end(torch.where(masked, self.first_mask + orders, codes), lengths, self.codebook_size)
         if visible is None:
             visible = hybrid_mask(F.pad(orders, (0, 1)), F.pad(masked, (0, 1)), lengths, **self.rules)
-        return self.transformer(ids, text, real, self.time_token(masked, lengths), visible)
+        return self.transformer(ids, text, real, self.time_token(masked, lengths), mask=visible)
 
     def time_token(self, masked: Bool[Tensor, "b n"], lengths: Int[Tensor, " b"]) -> Float[Tensor, "b 1 w"] | None:
         """Embed the number of masks and the length; None for a model without this condition."""

@@ -26,7 +26,7 @@ REMASKS = ("confidence", "order")
 REGENERATED = 0.5
 """The share of the codes that each iteration after the first generates again (BAMM, Generation)."""
 
-Rows = Callable[[int, Int[Tensor, "b n"]], Float[Tensor, "b k"]]
+SlotLogits = Callable[[int, Int[Tensor, "b n"]], Float[Tensor, "b k"]]
 """rows(slot, ids) -> the logits of a slot; the slots before it are decided."""
 
 
@@ -141,7 +141,7 @@ class SlotDecoder:
         size = int(lengths.max())
         return codes[:, :size], lengths, draws.confidence[:, :size]
 
-    def _guided(self, make: Callable[[Tensor], Rows], scale: float) -> Rows:
+    def _guided(self, make: Callable[[Tensor], SlotLogits], scale: float) -> SlotLogits:
         """Guide the logits of `make(text)`: empty + scale * (text - empty), both in one batch.
 
         Scale 1 takes the text alone and scale 0 the empty condition alone: one pass.

@@ -96,7 +96,9 @@ class T2MGPT(TokenGenerator):
         if ids.shape[1]:
             x = torch.cat((x, self._embed(ids, self._words(text), real=None if real is None else real[:, 1:])), dim=1)
         x = x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype)
-        return self._logits(x, _lower(x.shape[1], x.shape[1], x.device)[None], rows=Rows.of(x, real))
+        rows = Rows.of(x, real)
+        lower = _lower(x.shape[1], x.shape[1], x.device)[None]
+        return rows.pad(self._logits(run(self.blocks, rows.pack(x), lower, rows=rows)))
 
     def loss(
         self,
@@ -186,22 +188,18 @@ class T2MGPT(TokenGenerator):
         end = start + ids.shape[1]
         lower = _lower(end, min(end, seen.shape[1]), x.device)[start:]
         mask = lower & seen[:, None, :end]
+        if caches:
+            for block, cache in zip(self.cross_blocks, caches, strict=True):
+                x = block(x, mask, features[:, start:end], cache)
+            return x
         rows = Rows.of(x, real)
         x = rows.pack(x)
-        for i, block in enumerate(self.cross_blocks):
-            x = block(x, mask, features[:, start:end], caches[i] if caches else None, rows)
+        for block in self.cross_blocks:
+            x = block(x, mask, features[:, start:end], rows=rows)
         return rows.pad(x)
 
-    def _logits(
-        self,
-        x: Float[Tensor, "b n w"],
-        mask: Bool[Tensor, "..."] | None = None,
-        caches: Sequence[KeyValueCache] | None = None,
-        rows: Rows | None = None,
-    ) -> Float[Tensor, "b n k"]:
-        if rows is None:
-            return self.head(self.norm(run(self.blocks, x, mask, caches)))
-        return rows.pad(self.head(self.norm(run(self.blocks, rows.pack(x), mask, caches, rows))))
+    def _logits(self, x: Float[Tensor, "*n w"]) -> Float[Tensor, "*n k"]:
+        return self.head(self.norm(x))
 
     def _predictor(
         self, text: TextFeatures, size: int, cache: bool
@@ -222,7 +220,7 @@ class T2MGPT(TokenGenerator):
                 x = self._embed(ids[:, step - 1 : step], words, step - 1, cross)
             else:
                 x = self.text_projection(text.pooled)[:, None]
-            return self._logits(x + positions[step].to(x.dtype), caches=own)[:, 0]
+            return self._logits(run(self.blocks, x + positions[step].to(x.dtype), caches=own))[:, 0]
 
         return predict
 

@@ -140,13 +140,13 @@ class MARDM(Generator):
         real: Bool[Tensor, "b n"],
         last: Bool[Tensor, "b n"] | None = None,
     ) -> Float[Tensor, "b n w"]:
-        """Return each position's condition for the diffusion MLP; `real` is True at positions before the padding.
+        """Return each position's condition for the diffusion MLP, zero at padding, which `real` tells.
 
         Positions in `last` go behind the others inside the blocks (pseudo-reordering). A text without words and with a
         zero vector is the empty condition.
         """
         condition = self.text_projection(text.pooled)
-        words = (None, None) if self.words is None else self.words(text)
+        context, words = (None, None) if self.words is None else self._read(text)
         x = self.input_projection(latents)
         x = self.dropout(x + sinusoidal_positions(x.shape[1], x.shape[2], x.device).to(x.dtype))
         if last is not None:
@@ -155,7 +155,7 @@ class MARDM(Generator):
         rows = Rows(real)
         x = rows.pack(x)
         for block in self.blocks:
-            x = block(x, rows, condition, *words)
+            x = block(x, rows, condition, context, words)
         return rows.pad(x) if last is None else _take(rows.pad(x), order.argsort(dim=1))
 
     def loss(
@@ -251,6 +251,13 @@ class MARDM(Generator):
                 )
 
         return predict
+
+    def _read(self, text: TextFeatures) -> tuple[Float[Tensor, "l w"], Rows]:
+        """Project the words, those of all texts behind each other."""
+        assert self.words is not None  # who reads has them
+        projected, seen = self.words(text)
+        words = Rows(seen)
+        return words.pack(projected), words
 
     def _corrupted(
         self, x1: Float[Tensor, "b n c"], real: Bool[Tensor, "b n"], lengths: Int[Tensor, " b"], draws: MarDraws

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from kinema.generators.frames.denoiser import Denoiser, Read
 from kinema.nn.embeddings import interleaved_embedding, sinusoidal_positions
@@ -82,15 +83,16 @@ class MdmDenoiser(Denoiser):
         """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding."""
         condition = condition + self.embed_time(time)[:, None]
         x = self.input_projection(x)
-        frames = Rows.of(x, real)
         if not self.encodes:
+            frames = Rows.of(x, real)
             x = self._place(frames.pack(x), frames)
             for block in self.blocks:
-                x = block(x, condition, context_mask=seen, rows=frames)
+                x = block(x, condition, seen, frames)
             return frames.pad(self.output(x))
         size = condition.shape[1]
-        rows = Rows.behind(size, frames.real) if seen is None else Rows(torch.cat((seen, frames.real), dim=1))
-        x = self._place(rows.pack(torch.cat((condition, x), dim=1)), rows)
+        both = torch.cat((condition, x), dim=1)
+        rows = Rows.of(both, _joined(seen, real, size, both.shape[1]))
+        x = self._place(rows.pack(both), rows)
         return rows.pad(self.output(run(self.blocks, x, rows=rows)))[:, size:]
 
     def embed_time(self, time: Tensor) -> Float[Tensor, "n w"]:
@@ -101,3 +103,12 @@ class MdmDenoiser(Denoiser):
     def _place(self, x: Float[Tensor, "m w"], rows: Rows) -> Float[Tensor, "m w"]:
         positions = sinusoidal_positions(rows.real.shape[1], x.shape[1], x.device).to(x.dtype)
         return self.dropout(x + positions[rows.place])
+
+
+def _joined(
+    seen: Bool[Tensor, "b l"] | None, real: Bool[Tensor, "b t"] | None, size: int, total: int
+) -> Bool[Tensor, "b n"] | None:
+    """Join the masks over a condition of `size` rows and the frames behind it."""
+    if seen is None:
+        return None if real is None else F.pad(real, (size, 0), value=True)
+    return F.pad(seen, (0, total - size), value=True) if real is None else torch.cat((seen, real), dim=1)

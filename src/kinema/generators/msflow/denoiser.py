@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -119,12 +121,12 @@ class MsflowDenoiser(Denoiser):
         c = c if self.modulation is None else self.modulation(c)
         rows = Rows(shown[:, :: self.patch])
         motion = self.motion_in(rows.pack(x.unflatten(1, (-1, self.patch)).flatten(2)))
-        mask = sees(words, rows.real, causal=self.causal, block=self.mask_block)
+        sight = partial(sees, words, rows.real, causal=self.causal, block=self.mask_block)
         if self.joint:
-            motion = self._beside(motion, rows, text, Rows(words), c, mask)
+            motion = self._beside(motion, rows, text, Rows(words), c, sight())
         else:
             size = words.shape[1]
-            own = mask[:, :, size:, size:] if self.causal else None
+            own = sight()[:, :, size:, size:] if self.causal else None
             held = held if self.refines_once else self._held(text, Rows(words))
             for block, part in zip(self.blocks, held.chunk(len(self.blocks), dim=-1), strict=True):
                 motion = block(motion, rows, c, own, part, words)

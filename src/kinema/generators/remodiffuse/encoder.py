@@ -101,4 +101,4 @@ class RetrievalEncoder(nn.Module):
         tokens, counts = neighbours.tokens.flatten(0, 1), neighbours.token_lengths.flatten()
         rows = Rows(frame_mask(counts, tokens.shape[1]))
         read = run(self.text_blocks, self.text_projection(rows.pack(tokens)), rows=rows)
-        return read[counts.cumsum(0) - 1]
+        return rows.pad(read)[torch.arange(len(counts), device=counts.device), counts - 1]

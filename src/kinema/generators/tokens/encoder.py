@@ -91,8 +91,7 @@ class TokenEncoder(nn.Module):
         if real is None:
             return self.output(run(self.blocks, x, mask, caches))
         rows = Rows.behind(x.shape[1] - real.shape[1], real)
-        made = run(self.blocks, rows.pack(x), mask, rows=rows)
-        return rows.pad(self.output(made))
+        return rows.pad(self.output(run(self.blocks, rows.pack(x), mask, caches, rows)))
 
     def _place(self, x: Float[Tensor, "b s w"], start: int) -> Float[Tensor, "b s w"]:
         positions = sinusoidal_positions(start + x.shape[1], x.shape[2], x.device)[start:]

@@ -82,8 +82,8 @@ class TokenTransformer(nn.Module):
     ) -> Float[Tensor, "b m k"]:
         """Return logits at every position of [sentence, extra..., ids], m = 1 + e + n; zero at ids that aren't `real`.
 
-        `mask` says which row sees which column (None: each all of them), and that none sees padding. Sinusoids are
-        added to the ids before the words are attended to (if they are), and again to the whole sequence (MMM, BAD §2).
+        `mask` says which row sees which column (None: each all of them); none sees padding. Sinusoids are added to the
+        ids before the words are attended to (if they are), and again to the whole sequence (MMM, BAD §2).
         """
         x = self.embed(ids)
         if self.word_projection is not None:
