@@ -130,7 +130,7 @@ class MMM(CodebookReader):
     def forward(
         self, ids: Int[Tensor, "b n"], text: TextFeatures, lengths: Int[Tensor, " b"]
     ) -> Float[Tensor, "b m k"]:
-        """Return logits at the sentence, the n positions and the END slot (m = n + 2); padding is seen by none."""
+        """Return logits at the sentence, the n positions and the END slot (m = n + 2), zero at padding."""
         ids, visible = with_end(ids, lengths, self.codebook_size)
         return self.transformer(ids, text, visible)
 

@@ -32,4 +32,7 @@ class Denoiser(nn.Module, ABC):
         seen: Bool[Tensor, "b m"] | None = None,
         real: Bool[Tensor, "b t"] | None = None,
     ) -> Float[Tensor, "b t d"]:
-        """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding."""
+        """Predict at one time for all rows or one per row; no frame sees those that `real` says are padding.
+
+        What is predicted for these is nobody's to read.
+        """
