@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -15,28 +15,24 @@ class Rows:
     `whole` says that there is no padding; then nothing is copied.
     """
 
-    def __init__(self, real: Bool[Tensor, "b n"]) -> None:
-        self._keep(real, real.flatten().nonzero()[:, 0])  # one index copies whole rows; two, number by number
+    def __init__(self, real: Bool[Tensor, "b n"], flat: Int[Tensor, " m"] | None = None) -> None:
+        # One index copies whole rows; two, number by number.
+        self.real, self.flat = real, real.flatten().nonzero()[:, 0] if flat is None else flat
+        self.owner, self.place = self.flat // real.shape[1], self.flat % real.shape[1]
+        self.whole = len(self.flat) == real.numel()
 
     @classmethod
     def of(cls, x: Shaped[Tensor, "b n *c"], real: Bool[Tensor, "b n"] | None = None) -> Rows:
         """Know the positions of `x` that are `real` (None: all, which needs no look at the device)."""
         if real is not None:
             return cls(real)
-        rows = cls.__new__(cls)
         every = torch.ones(x.shape[:2], dtype=torch.bool, device=x.device)
-        rows._keep(every, torch.arange(every.numel(), device=x.device))
-        return rows
+        return cls(every, torch.arange(every.numel(), device=x.device))
 
     @classmethod
     def behind(cls, size: int, real: Bool[Tensor, "b n"]) -> Rows:
         """Know those of sequences that begin with `size` positions more, conditions for instance."""
         return cls(F.pad(real, (size, 0), value=True))
-
-    def _keep(self, real: Bool[Tensor, "b n"], places: Shaped[Tensor, " m"]) -> None:
-        self.real, self.flat = real, places
-        self.owner, self.place = places // real.shape[1], places % real.shape[1]
-        self.whole = len(places) == real.numel()
 
     @property
     def counts(self) -> list[int]:
