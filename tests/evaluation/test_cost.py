@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 import torch
-from torch.utils.flop_counter import FlopCounterMode
 
 from kinema.data.store import PackedStore
-from kinema.evaluation.cost import operations, parameters
+from kinema.evaluation.cost import counting, operations, parameters
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.pages.subjects import read_motions
@@ -20,10 +19,21 @@ def test_a_row_through_the_published_mlp_costs_what_the_specification_says():
     """MARDM §5: 541.3 MFLOP."""
     with torch.device("meta"):
         mlp = DiffusionMLP(latent_dim=512, condition_dim=1024, width=1792, depth=16)
-        with FlopCounterMode(display=False) as counter:
+        with counting() as counter:
             mlp(torch.zeros(1, 512), torch.zeros(1), torch.zeros(1, 1024))
     assert counter.get_total_flops() == pytest.approx(541.3e6, rel=1e-3)
     assert parameters(torch.nn.ModuleList([mlp, mlp])) == parameters(mlp) > 250e6
+
+
+def test_attention_and_its_gradients_are_counted_where_the_cpu_has_kernels_of_its_own():
+    """Two products of 2 x 4 x 50 x 50 x 16; backwards those again for the scores, and four for gradients."""
+    query, key, value = torch.randn(3, 2, 4, 50, 16, requires_grad=True)
+    product = 2 * 2 * 4 * 50 * 50 * 16
+    with counting() as counter:
+        attended = torch.nn.functional.scaled_dot_product_attention(query, key, value)
+        assert counter.get_total_flops() == 2 * product
+        attended.sum().backward()
+    assert counter.get_total_flops() == (2 + 5) * product
 
 
 def test_operations_follow_the_sampler(micro):

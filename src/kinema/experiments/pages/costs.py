@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from omegaconf import DictConfig
-from torch.utils.flop_counter import FlopCounterMode
 
 from kinema.data.store import PackedStore
-from kinema.evaluation.cost import operations, parameters
+from kinema.evaluation.cost import counting, operations, parameters
 from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import open_corpus
@@ -88,13 +87,13 @@ def training_step(model: TextToMotion, part: str, motions: MotionBatch, window: 
     if network is model.tokenizer:
         frames = window or motions.features.shape[1]
         batch = replace(motions, features=motions.features[:, :frames], lengths=motions.lengths.clamp(max=frames))
-        with FlopCounterMode(display=False) as counter:
+        with counting() as counter:
             network.loss(batch, generator=draws)["loss"].backward()
     else:
         with torch.no_grad():
             latents, text = model.tokenizer.eval().encode(motions), model.text_encoder(motions.texts)
         text.clip_ids = motions.clip_ids
-        with FlopCounterMode(display=False) as counter:
+        with counting() as counter:
             network.loss(latents, text, generator=draws)["loss"].backward()
     return counter.get_total_flops()
 
