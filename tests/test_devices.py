@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from kinema.devices import find_device, global_rank
+from kinema.training.machine import Machine
 
 
 def test_names_stand_for_the_first_device_that_is_there(monkeypatch):
@@ -34,3 +35,24 @@ def test_rank_is_what_the_launcher_set(environment, rank, monkeypatch):
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert global_rank() == rank
+
+
+@pytest.mark.parametrize(
+    ("devices", "place", "number"),
+    [
+        (1, {}, 0),
+        ("auto", {"LOCAL_RANK": "2"}, 2),
+        (-1, {"SLURM_LOCALID": "3", "SLURM_PROCID": "7"}, 3),
+        ("2", {"LOCAL_RANK": "1"}, 1),
+        ([1], {}, 1),
+        ("1,3", {"LOCAL_RANK": "1", "RANK": "5"}, 3),
+    ],
+)
+def test_what_helps_a_process_is_on_the_device_that_lightning_gives_it(devices, place, number, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
+    for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID", "SLURM_LOCALID"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in place.items():
+        monkeypatch.setenv(name, value)
+    assert Machine(accelerator="gpu", devices=devices).device() == torch.device("cuda", number)

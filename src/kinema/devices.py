@@ -49,6 +49,14 @@ def global_rank() -> int:
     return 0
 
 
+def local_rank() -> int:
+    """Return this process' place among those of its machine; 0 where nothing launched several."""
+    for name in ("LOCAL_RANK", "SLURM_LOCALID"):
+        if os.environ.get(name, "").isdigit():
+            return int(os.environ[name])
+    return 0
+
+
 def _torch_device(name: str | torch.device) -> torch.device:
     try:
         return torch.empty(0, device=name).device

@@ -164,8 +164,14 @@ def test_a_cpu_does_not_compute_in_bf16_under_the_name_of_fp16(accelerator, monk
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(torch.backends.mps, "is_available", lambda: False)
     with pytest.raises(ValueError, match=r"precision=16-mixed on a CPU computes in bf16.*bf16-mixed or 32-true"):
-        Machine(accelerator=accelerator, precision="16-mixed").device()
-    assert Machine(accelerator=accelerator, precision="bf16-mixed").device() == torch.device("cpu")
+        Machine(accelerator=accelerator, precision="16-mixed").check()
+    Machine(accelerator=accelerator, precision="bf16-mixed").check()
+
+
+def test_what_changes_a_result_is_no_extra_of_the_machine():
+    assert Machine(extra={"benchmark": True}).extra == {"benchmark": True}
+    with pytest.raises(ValueError, match=r"Machine\.extra\.accumulate_grad_batches: only benchmark, .* leave"):
+        Machine(extra={"accumulate_grad_batches": 4})
 
 
 @pytest.mark.parametrize("machine", [["trainer.precision=16-mixed"], ["trainer.accelerator=gpu"], ["trainer=gpu"]])

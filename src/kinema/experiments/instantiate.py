@@ -1,4 +1,4 @@
-"""Make live objects of configs and run folders: trained models, and text encoders behind their cache."""
+"""Make live objects of configs and run folders: the machine, trained models, text encoders behind their cache."""
 
 from __future__ import annotations
 
@@ -9,10 +9,17 @@ import torch
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
+from kinema.experiments.config import plain
 from kinema.runs.parts import load_part
 from kinema.text.cache import CachedTextEncoder
 from kinema.text.encoders import build_text_encoder
 from kinema.text.frozen import FrozenTextEncoder
+from kinema.training.machine import Machine
+
+
+def machine_of(cfg: DictConfig) -> Machine:
+    """Return where and how to run; raises ValueError naming an option."""
+    return Machine(**plain(cfg.trainer))
 
 
 def read_model(run: Path, part: str | None = None) -> Any:

@@ -124,9 +124,9 @@ def _height(job: Job, jobs: dict[Path, Job]) -> int:
 
 def processes(cfg: DictConfig) -> int:
     """Choose how many jobs run side by side: one a core where each takes one thread of a CPU, else one."""
-    from kinema.devices import find_device
+    from kinema.experiments.instantiate import machine_of
 
-    if cfg.trainer.threads != 1 or find_device(cfg.trainer.accelerator).type != "cpu":
+    if cfg.trainer.threads != 1 or machine_of(cfg).device().type != "cpu":
         return 1
     # Cores that this process may use, which in a container are fewer than the machine has.
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -16,7 +16,6 @@ from kinema.data.datamodule import MotionDataModule
 from kinema.data.labels import shown_by
 from kinema.data.leakage import Nearness
 from kinema.data.store import PackedStore
-from kinema.devices import find_device
 from kinema.evaluation import sources
 from kinema.evaluation.changed import FeetLocked, Lifted
 from kinema.evaluation.controlled import Controlled
@@ -24,15 +23,14 @@ from kinema.evaluation.oracle import Oracle
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
 from kinema.evaluation.training_set import TrainingSet
-from kinema.experiments.config import plain
+from kinema.experiments.config import SOURCES, plain
 from kinema.experiments.evaluation import Row
-from kinema.experiments.instantiate import cached, encode_captions, read_model, text_encoder
+from kinema.experiments.instantiate import cached, encode_captions, machine_of, read_model, text_encoder
 from kinema.experiments.sampling import build_sampling, sampling_spec
 from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
 from kinema.text.cache import CachedTextEncoder
-from kinema.training.machine import Machine
 from kinema.types import MotionBatch
 
 SAMPLES = 6
@@ -48,8 +46,9 @@ class Scorer:
 
     def __init__(self, cfg: DictConfig, row: Row, store_path: Path) -> None:
         self.cfg = cfg
-        Machine(**plain(cfg.trainer)).limit_threads()
-        self.device = find_device(cfg.trainer.accelerator)
+        machine = machine_of(cfg)
+        machine.limit_threads()
+        self.device = machine.device()
         self.store = PackedStore.open(store_path)
         self.protocol = EvaluationProtocol(**plain(cfg.scale.protocol))
         asked = {key: stage for key, stage in judges().items() if stage.name in row.judges}
@@ -178,6 +177,8 @@ class Scorer:
         tokenizer = read_model(run, part).to(self.device)
         if name == "reconstruction":
             return sources.Reconstruction(tokenizer)
+        if name != "noise":
+            raise ValueError(f"source={name} is not made by evaluation; it is one of {', '.join(SOURCES)}")
         if tokenizer.space.kind == "codes":
             return sources.NoiseCodes(tokenizer, self._code_shares(tokenizer))
         return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))

@@ -14,11 +14,11 @@ from omegaconf import DictConfig
 from kinema.data.datamodule import KINDS, MotionDataModule
 from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
-from kinema.devices import find_device, global_rank
+from kinema.devices import global_rank
 from kinema.experiments.config import plain
 from kinema.experiments.dashboards import training_dashboards
 from kinema.experiments.identity import fingerprint, run_identity
-from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
+from kinema.experiments.instantiate import encode_captions, machine_of, read_model, text_encoder
 from kinema.experiments.stages.base import Summary
 from kinema.experiments.stages.fitted import FittedStage
 from kinema.files.kinds import DamagedError
@@ -33,7 +33,6 @@ from kinema.seeds import training_seed
 from kinema.tokenizers import MotionTokenizer
 from kinema.training.fit import fit
 from kinema.training.latents import EncodeEachTime, LatentCache, latent_source
-from kinema.training.machine import Machine
 from kinema.training.modules import GeneratorModule
 from kinema.training.recipe import Recipe
 from kinema.training.record import Record
@@ -53,7 +52,7 @@ def make_model(
     stage: FittedStage, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder
 ) -> Summary:
     """Fit a stage's model, or take it as it is built where it has no recipe, and write its weights."""
-    machine = Machine(**plain(cfg.trainer))
+    machine = machine_of(cfg)
     device = machine.device()
     machine.limit_threads()
     started, train = time.monotonic(), plain(stage.config(cfg)).get("train")
@@ -97,7 +96,7 @@ def make_model(
 
 def check_options(stage: FittedStage, cfg: DictConfig, store: PackedStore) -> None:
     """Raise ValueError naming a machine that isn't there, or an option of the recipe that is wrong."""
-    Machine(**plain(cfg.trainer)).device()
+    machine_of(cfg).check()
     if train := plain(stage.config(cfg)).get("train"):
         make_recipe(train, store, at=f"{stage.node}.train")
 
@@ -137,7 +136,7 @@ def generator_module(
     cfg: DictConfig, model: LatentModel, recipe: Recipe, store: PackedStore, tokenizer_run: RunFolder | None
 ) -> GeneratorModule:
     """Wire a model of latents to the captions, and to the latents of a tokenizer or the number of frames alone."""
-    device = find_device(cfg.trainer.accelerator)
+    device = machine_of(cfg).device()
     text = encode_captions(text_encoder(cfg, device), store, "train", "val")
     if model.lacks_empty_text:
         model.take_empty_text(text.empty())

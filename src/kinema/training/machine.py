@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import torch
 from annotated_types import Interval, Len
 
-from kinema.devices import ACCELERATORS, find_device
+from kinema.devices import ACCELERATORS, find_device, local_rank
 from kinema.options import Count, Matches, Number, OneOf, Options, Size, Threads
 
 Devices = (
@@ -18,6 +18,8 @@ Devices = (
 )
 PRECISIONS = ("32-true", "16-mixed", "bf16-mixed", "64-true", "16-true", "bf16-true")
 PROGRESS = ("rich", "tqdm", "none")
+EXTRAS = ("benchmark", "deterministic", "detect_anomaly", "inference_mode", "profiler")
+"""What else Lightning's Trainer may be told: its other arguments change what is computed, and no identity has them."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +40,30 @@ class Machine(Options):
     log_every: Count = 50
     extra: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.extra.keys() - set(EXTRAS):
+            raise ValueError(f"Machine.extra.{name}: only {', '.join(EXTRAS)} leave what a run computes as it is")
+
     def device(self) -> torch.device:
-        """Find what is trained on; raises ValueError where it isn't there, or computes otherwise than asked for."""
+        """Return the device of this process: of several, that which Lightning gives it.
+
+        Raises ValueError where it isn't there.
+        """
         device = find_device(self.accelerator)
-        if self.precision == "16-mixed" and device.type == "cpu":
+        if device.type != "cuda":
+            return device
+        named = self.devices.split(",") if isinstance(self.devices, str) and "," in self.devices else self.devices
+        numbers = [int(n) for n in named] if isinstance(named, list) else list(range(torch.cuda.device_count()))
+        return torch.device("cuda", numbers[local_rank() % len(numbers)])
+
+    def check(self) -> None:
+        """Raise ValueError where the device isn't there, or computes otherwise than asked for."""
+        if self.precision == "16-mixed" and self.device().type == "cpu":
             raise ValueError(
                 "trainer.precision=16-mixed on a CPU computes in bf16, under the identity of a run in fp16; choose "
                 "trainer.precision=bf16-mixed or 32-true"
             )
-        return device
 
     def limit_threads(self) -> None:
         """Use this many CPU threads from now on (None: as many as torch takes)."""

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from kinema.data.store import PackedStore
-from kinema.experiments.config import compose, plain
+from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus, require_captions
+from kinema.experiments.instantiate import machine_of
 from kinema.experiments.pages import errors, statistics
 from kinema.experiments.pages.sections import write_page
 from kinema.experiments.pages.subjects import finished, load, load_tokenizer, make, read_motions, want
@@ -16,14 +17,13 @@ from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
 from kinema.runs.console import console
 from kinema.runs.versions import versions
-from kinema.training.machine import Machine
 
 
 def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     """Make the missing runs, measure, and write the page; `render_only` measures the runs that are there."""
     overrides = request.shared
     cfg = compose(overrides)
-    Machine(**plain(cfg.trainer)).limit_threads()
+    machine_of(cfg).limit_threads()
     store, split = PackedStore.open(open_corpus(cfg)), page["split"]
     require_captions(store, split)
     if not request.render_only:

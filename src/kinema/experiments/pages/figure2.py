@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from kinema.devices import find_device
 from kinema.experiments.figures.code_usage import measure, write_report
+from kinema.experiments.instantiate import machine_of
 from kinema.experiments.pages.subjects import finished, make, want
 from kinema.experiments.request import Request
 from kinema.experiments.stages.tokenizer import TokenizerStage
@@ -18,5 +18,5 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     if not request.render_only:
         make({stage: page["tokenizers"]}, request)
     wanted = want(page["tokenizers"], stage, shared)
-    found = [measure(one.run.path, "test", find_device(one.cfg.trainer.accelerator)) for one in finished(wanted)]
+    found = [measure(one.run.path, "test", machine_of(one.cfg).device()) for one in finished(wanted)]
     return write_report(found, request.folder(wanted[0].cfg))

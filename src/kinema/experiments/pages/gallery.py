@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from kinema.devices import find_device
 from kinema.experiments.config import plain
+from kinema.experiments.instantiate import machine_of
 from kinema.experiments.pages.sections import write_page
 from kinema.experiments.pages.subjects import Wanted, finished, make, want
 from kinema.experiments.request import Request
@@ -38,7 +38,7 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
 
 def answers(one: Wanted, prompts: list[dict[str, Any]]) -> list[Motion]:
     """Generate a motion for each prompt, of its length; a method that makes no motion as long makes its longest."""
-    model = TextToMotion.from_run(one.run.path, device=find_device(one.cfg.trainer.accelerator))
+    model = TextToMotion.from_run(one.run.path, device=machine_of(one.cfg).device())
     longest = model.max_frames / model.skeleton.fps
     seconds = [min(prompt["seconds"], longest) for prompt in prompts]
     console.print(f"asked     {one.label}")

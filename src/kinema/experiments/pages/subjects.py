@@ -12,7 +12,6 @@ from omegaconf import DictConfig
 
 from kinema.data.datamodule import MotionDataModule
 from kinema.data.store import PackedStore
-from kinema.devices import find_device
 from kinema.evaluation.sources import encode_captions
 from kinema.experiments import instantiate
 from kinema.experiments.config import compose, plain
@@ -110,7 +109,7 @@ class Subject:
 
 def load(one: Wanted, real: MotionBatch, store: PackedStore, split: str) -> Subject:
     """Load a generator's run, and encode the captions of the motions by its text encoder."""
-    device = find_device(one.cfg.trainer.accelerator)
+    device = instantiate.machine_of(one.cfg).device()
     model = TextToMotion.from_run(one.run.path, device).eval()
     encoder = instantiate.encode_captions(instantiate.cached(one.cfg, model.text_encoder), store, split)
     text = encode_captions(encoder, real).to(device)
@@ -119,7 +118,7 @@ def load(one: Wanted, real: MotionBatch, store: PackedStore, split: str) -> Subj
 
 def load_tokenizer(one: Wanted) -> MotionTokenizer:
     """Load a tokenizer's run."""
-    return instantiate.read_model(one.run.path, TokenizerStage.name).to(find_device(one.cfg.trainer.accelerator)).eval()
+    return instantiate.read_model(one.run.path, TokenizerStage.name).to(instantiate.machine_of(one.cfg).device()).eval()
 
 
 def read_motions(store: PackedStore, split: str, count: int) -> MotionBatch:

@@ -12,10 +12,10 @@ import torch
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
-from kinema.devices import find_device
 from kinema.evaluation.latency import PARTS, Latency, measure_latency
-from kinema.experiments.config import compose, plain
+from kinema.experiments.config import compose
 from kinema.experiments.corpus import open_corpus
+from kinema.experiments.instantiate import machine_of
 from kinema.experiments.pages.sections import Rows, Section, write_page
 from kinema.experiments.pages.subjects import read_motions
 from kinema.experiments.pages.untrained import untrained
@@ -23,7 +23,6 @@ from kinema.experiments.request import Request
 from kinema.experiments.sampling import build_sampling
 from kinema.runs.console import console
 from kinema.runs.versions import versions
-from kinema.training.machine import Machine
 from kinema.types import MotionBatch
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ def carry_out(page: dict[str, Any], request: Request) -> list[Path]:
     shared = request.shared
     rows: Rows = []
     cfg = compose(shared, "evaluate")
-    Machine(**plain(cfg.trainer)).limit_threads()
+    machine_of(cfg).limit_threads()
     store = PackedStore.open(open_corpus(cfg))
     asked = read_motions(store, "test", page["motions"])
     for spec in page["methods"]:
@@ -89,7 +88,7 @@ def summary(timed: list[Latency]) -> dict[str, Any]:
 
 def machine(cfg: DictConfig) -> dict[str, Any]:
     """Say what the times are of."""
-    device = find_device(cfg.trainer.accelerator)
+    device = machine_of(cfg).device()
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else _processor()
     facts = {"device": f"{device.type}, {name}", "threads": torch.get_num_threads(), "cores": os.cpu_count()}
     return facts | {"precision": cfg.precision, "weights": "as training begins", "versions": versions()}

@@ -9,8 +9,7 @@ import torch
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
-from kinema.devices import find_device
-from kinema.experiments.instantiate import read_model
+from kinema.experiments.instantiate import machine_of, read_model
 from kinema.experiments.run import run_stage
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.fitted import FittedStage
@@ -32,7 +31,7 @@ def untrained(cfg: DictConfig, store: PackedStore, motions: MotionBatch) -> Text
     tokenizer.eval()
     generator.prepare(tokenizer, EncodedMotions(tokenizer, motions))
     parts = {name: _part(name, cfg, store) for name in generator.parts if get_stage(name).present(cfg)}
-    device = find_device(cfg.trainer.accelerator)
+    device = machine_of(cfg).device()
     encoder = build_text_encoder(cfg.text.name, path=cfg.text.path, device=device)  # a cache would hide what it takes
     return TextToMotion(tokenizer, generator, encoder, parts).to(device)
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.store import PackedStore
-from kinema.devices import find_device
 from kinema.experiments.config import plain
-from kinema.experiments.instantiate import read_model
+from kinema.experiments.instantiate import machine_of, read_model
 from kinema.experiments.stages.base import Stage, asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.experiments.stages.matching import MatchingStage
@@ -42,8 +41,14 @@ class GeneratorStage(ConditionedStage):
         return {**super().spec(cfg), "sampling": plain(self.config(cfg).sampling)}
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
-        """Check the sampling under its own key, too."""
-        build(plain(self.config(cfg).sampling), at=f"{self.node}.sampling")
+        """Check the sampling under its own key, too, and that a flow's grid of times is read."""
+        sampling, grid = plain(self.config(cfg).sampling), OmegaConf.select(cfg, "diffusion.sampling.grid")
+        build(sampling, at=f"{self.node}.sampling")
+        if grid not in (None, "uniform") and "solver_grid" not in sampling:
+            raise ValueError(
+                f"diffusion.sampling.grid={grid} isn't read by method={cfg.method.name}; give it "
+                f"+{self.node}.sampling.solver_grid={grid}"
+            )
         super().check(cfg, store)
 
     def given(self, cfg: DictConfig) -> Path | None:
@@ -61,7 +66,7 @@ class GeneratorStage(ConditionedStage):
         """Attach what it has beside it in training already."""
         for name in model.parts:
             if name in needs:
-                model.attach(name, read_model(needs[name].path, name).to(find_device(cfg.trainer.accelerator)))
+                model.attach(name, read_model(needs[name].path, name).to(machine_of(cfg).device()))
         return super().module(cfg, model, recipe, store, needs)
 
     def watched_by(self, cfg: DictConfig) -> list[Stage]:

@@ -40,13 +40,12 @@ class RetrievalStage(Stage):
 
     def make(self, cfg: DictConfig, store: PackedStore, needs: dict[str, RunFolder], folder: RunFolder) -> Summary:
         """Encode captions and motions, and write them."""
-        from kinema.devices import find_device  # here: what asks for a finished run does not pay for torch
         from kinema.experiments.database import build_database
-        from kinema.experiments.instantiate import encode_captions, read_model, text_encoder
+        from kinema.experiments.instantiate import encode_captions, machine_of, read_model, text_encoder
         from kinema.runs import weights
         from kinema.runs.parts import write_text_encoder
 
-        started, device = time.monotonic(), find_device(cfg.trainer.accelerator)
+        started, device = time.monotonic(), machine_of(cfg).device()
         (source,) = self.needs
         tokenizer = read_model(needs[source].path, source)
         text = encode_captions(text_encoder(cfg, device), store, "train")

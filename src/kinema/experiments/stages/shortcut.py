@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from kinema.data.store import PackedStore
-from kinema.devices import find_device
 from kinema.experiments.config import plain
-from kinema.experiments.instantiate import read_model
+from kinema.experiments.instantiate import machine_of, read_model
 from kinema.experiments.stages.base import asked_for, dims
 from kinema.experiments.stages.conditioned import ConditionedStage
 from kinema.experiments.stages.generator import GeneratorStage
@@ -59,5 +58,5 @@ class ShortcutStage(ConditionedStage):
     ) -> GeneratorModule:
         """Start from the trained generator, and learn from it."""
         generator = GeneratorStage.name
-        model.learn_from(read_model(needs[generator].path, generator).to(find_device(cfg.trainer.accelerator)))
+        model.learn_from(read_model(needs[generator].path, generator).to(machine_of(cfg).device()))
         return super().module(cfg, model, recipe, store, needs)
