@@ -382,6 +382,16 @@ def test_mask_free_edit_changes_its_share(resample_all):
     assert changed.sum(dim=1).tolist() == [3, 1, 2]
 
 
+def test_mask_free_edit_needs_a_whole_motion():
+    """Between kept stretches there are no latents: what isn't regenerated there would be zeros."""
+    sampling, some = replace(SAMPLING, edit_fraction=0.25), torch.zeros(3, 12, dtype=torch.bool)
+    some[1, 0] = True
+    with pytest.raises(ValueError, match=r"edit_fraction=0\.25 regenerates a share of a motion of which nothing is"):
+        make().sample(text(), None, seeds=SEEDS, known=known(some), sampling=sampling)
+    with pytest.raises(ValueError, match="nothing is kept"):
+        make().sample(text(), FRAMES, seeds=SEEDS, sampling=sampling)
+
+
 # Errors
 
 

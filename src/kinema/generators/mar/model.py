@@ -118,7 +118,7 @@ class MARDM(Generator):
                     block.close()
 
     def prepare(self, tokenizer: MotionTokenizer, latents: TrainingLatents) -> None:
-        """Keep the training latents' range."""
+        """Keep the range of the latents of training and validation."""
         self.set_latent_range(*latents.range())
 
     def check_sampling(self, sampling: MarSampling) -> None:
@@ -127,7 +127,7 @@ class MARDM(Generator):
         self.process.resolve(sampling.solver, sampling.solver_steps, sampling.solver_grid)
 
     def set_latent_range(self, minimum: Float[Tensor, " c"], maximum: Float[Tensor, " c"]) -> None:
-        """Keep the training latents' range per channel, for `clip_latents`; call it before training."""
+        """Keep the range of latents per channel, for `clip_latents`; call it before training."""
         if not (minimum <= maximum).all():
             raise ValueError("the latents' minimum exceeds their maximum; pass (minimum, maximum) per channel")
         self.latent_min.copy_(minimum)
@@ -215,7 +215,7 @@ class MARDM(Generator):
         sampling = sampling or self.sampling
         device = self.mask_latent.device
         lengths = requested_lengths(self.space, text, frames, seeds, known, device=device)
-        latents, free = start(self.space, lengths, known)
+        latents, free = start(self.space, lengths, known, sampling)
         draws = draws or SampleDraws(seeds, lengths, len(self.mask_latent), device)
         predict = self._predictor(text.to(device), latents.mask, draws, sampling)
         yield None, latents

@@ -24,10 +24,10 @@ class MarSampling(Options):
 
     `solver` and `solver_steps` choose how the diffusion process samples (None: its defaults), `solver_grid` where a
     flow's steps lie. `resample_all` samples every masked position at every step instead of those that are kept (as
-    published: 11 times the work, the same distribution). `clip_latents` holds predicted latents inside the training
-    latents' range. `pseudo_reorder` sorts known positions first inside the transformer (paper Fig. 3c; no effect but
-    rounding). `edit_fraction` makes an edit mask-free (published: 0.16): of the positions that `known.mask` frees only
-    this share, chosen by the seed, is regenerated, all at once.
+    published: 11 times the work, the same distribution). `clip_latents` holds predicted latents inside the range of
+    those of training and validation. `pseudo_reorder` sorts known positions first inside the transformer (paper Fig.
+    3c; no effect but rounding). `edit_fraction` makes an edit mask-free (published: 0.16): of a motion of which nothing
+    is kept only this share, chosen by the seed, is regenerated, all at once.
     """
 
     steps: Steps = 18
@@ -42,8 +42,13 @@ class MarSampling(Options):
     edit_fraction: FullShare | None = None
 
 
-def start(space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None) -> tuple[Latents, Tensor]:
-    """Make the latents to start from (known ones, zeros elsewhere) and the mask of the positions that are free."""
+def start(
+    space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None, sampling: MarSampling
+) -> tuple[Latents, Tensor]:
+    """Make the latents to start from (known ones, zeros elsewhere) and the mask of the positions that are free.
+
+    Raises ValueError for a mask-free edit without a whole motion to edit.
+    """
     positions, width = int(lengths.max()), space.width
     assert width is not None  # values have a width
     real = frame_mask(lengths, positions)
@@ -53,6 +58,12 @@ def start(space: LatentSpace, lengths: Int[Tensor, " b"], known: Known | None) -
         source = check_known(known, lengths, width)
         values = torch.where(real[:, :, None], source[:, :positions].to(values), values)
         free = real & ~known.mask[:, :positions].to(real.device)
+    if sampling.edit_fraction is not None and (known is None or not torch.equal(free, real)):
+        # Kept stretches are encoded by themselves: between them there are no latents that could stay as they are.
+        raise ValueError(
+            f"edit_fraction={sampling.edit_fraction} regenerates a share of a motion of which nothing is kept; "
+            "edit all of its frames (kinema edit --regenerate 0:), or leave it out"
+        )
     return Latents(lengths=lengths, frames=space.frames_of(lengths), values=values), free
 
 
