@@ -13,8 +13,10 @@ from torch import nn
 
 from kinema.atomic import write_json
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.folder import write_parts
 from kinema.runs import weights
 from kinema.runs.parts import write_text_encoder
+from kinema.text.encoders import ENCODERS
 
 
 def tokenizer_of(parts):
@@ -175,6 +177,24 @@ def test_a_text_encoder_outside_of_the_run_is_not_asked_for_by_a_file(run, path,
     write_json(run / "text.json", {"encoder": "clip_b32", "path": path})
     with pytest.raises(ValueError, match=r"text\.json takes its text encoder from .*, which lies outside"):
         TextToMotion.from_run(run, "cpu")
+
+
+@pytest.mark.parametrize(
+    ("name", "variable"), [("clip_b32", "CLIP_B32"), ("distilbert", "DISTILBERT"), ("t5_small", "T5_SMALL")]
+)
+def test_a_published_text_encoder_is_looked_for_where_this_machine_has_it(name, variable, run, tmp_path, monkeypatch):
+    monkeypatch.setenv(variable, str(tmp_path / "mine"))
+    write_json(run / "text.json", {"encoder": name, "path": ENCODERS[name].published})
+    with pytest.raises(FileNotFoundError, match=f"no .* model at '{tmp_path / 'mine'}'"):
+        TextToMotion.from_run(run, "cpu")
+
+
+def test_a_saved_model_names_no_folder_of_this_machine(parts, tmp_path):
+    tokenizer, generator, *_ = parts
+    write_parts(
+        tmp_path / "saved", generator, {"tokenizer": tokenizer}, {"encoder": "t5_small", "path": "/mine/t5"}, {}
+    )
+    assert json.loads((tmp_path / "saved/text.json").read_text())["path"] == "google-t5/t5-small"
 
 
 def test_a_text_encoder_that_training_was_given_is_read(run, tmp_path):

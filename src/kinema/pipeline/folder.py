@@ -31,8 +31,7 @@ from kinema.runs.parts import (
     upstream,
     write_text_encoder,
 )
-from kinema.text.clip import REPOSITORIES
-from kinema.text.encoders import build_text_encoder
+from kinema.text.encoders import ENCODERS, build_text_encoder
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
 
@@ -71,9 +70,11 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
 
 def _text_path(folder: Path, text: dict[str, Any]) -> str | None:
     """Return where a run's text encoder lies: its published place, the run's own folder, or what was asked for."""
-    path = text.get("path")
-    if path is None or path == REPOSITORIES.get(text["encoder"]):
-        return path
+    path, kind = text.get("path"), ENCODERS.get(text["encoder"])
+    if path is None:
+        return None
+    if kind is not None and path == kind.published:
+        return kind.here()
     inside = Path(os.path.realpath(folder / path))
     if inside.is_relative_to(folder.resolve()) and inside.is_dir():
         return str(inside)
@@ -103,7 +104,10 @@ def write_parts(
         for one in about:
             one.write(staging)
         link(staging, {name: staging / name for name in parts})
-        write_text_encoder(staging, text["encoder"], text.get("path"), place=path)
+        # A folder of this machine is nothing to who gets the model; what was read there, the identity in `meta` says.
+        kind = ENCODERS.get(text["encoder"])
+        published = kind.published if kind is not None else None
+        write_text_encoder(staging, text["encoder"], published or text.get("path"), place=path)
         RunFolder(staging).mark("done")
 
 

@@ -18,6 +18,8 @@ REPOSITORIES = {
     "clip_b32_77": "openai/clip-vit-base-patch32",
     "clip_l14": "openai/clip-vit-large-patch14",
 }
+VARIABLES = {"clip_b32": "CLIP_B32", "clip_b32_77": "CLIP_B32", "clip_l14": "CLIP_L14"}
+"""The variables of the environment that name a local folder of them."""
 WHOLE = ("clip_b32_77",)
 """Encoders whose token features are those of the whole context, padding and all."""
 PADDING = 0
