@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -215,6 +216,20 @@ def test_remains_of_a_killed_process_are_replaced(joints_corpus, tmp_path):
     (tmp_path / ".out-partial" / "features.f32").write_bytes(b"half")
     PackedStore.open(prepare(catalog, tmp_path / "out", name="x")).verify()
     assert not (tmp_path / ".out-partial").exists()
+
+
+def test_the_same_motion_of_which_something_else_is_known_takes_its_place(joints_corpus, tmp_path):
+    catalog = read_joints_folder(joints_corpus({"a": ("train", 50)}))
+    labelled = [replace(clip, fields={"style": style}) for style in ("old", "young") for clip in catalog]
+    out = prepare(labelled[:1], tmp_path / "out", name="x")
+    first = PackedStore.open(out)
+    prepare(labelled[1:], out, name="x")
+    second = PackedStore.open(out)
+    second.verify()
+    assert second.hash == first.hash  # what was trained on the one is a model of the other
+    assert [store.manifest["checksums"] == second.manifest["checksums"] for store in (first, second)] == [False, True]
+    assert second.clip_field(0, "style") == "young"
+    assert [path.name for path in tmp_path.iterdir() if "partial" in path.name] == []
 
 
 def test_another_corpus_is_not_overwritten(joints_corpus, tmp_path):

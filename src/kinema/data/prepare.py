@@ -157,7 +157,7 @@ def prepare(
             writer = StoreWriter(staging, name, body, tag_fps=20.0 if legacy_fps else body.fps)
             options = {"request": request, "mirror": mirror, "legacy_fps": legacy_fps}
             manifest = _write(catalog, writer, options, max_unusable, processes)
-            _move(staging, out, manifest["hash"])
+            _move(staging, out, manifest)
     for line in told_of(catalog, writer.dropped, manifest, out):
         print(line, flush=True)
     return out
@@ -240,14 +240,18 @@ def _wait_for_parent() -> None:
         os._exit(1)
 
 
-def _move(staging: Path, out: Path, content: str) -> None:
-    """Put the finished store in its place, unless the same content is there."""
+def _move(staging: Path, out: Path, manifest: dict[str, Any]) -> None:
+    """Put the finished store in its place, and in that of one of the same motion of which less or else was known."""
     if not out.exists():
         os.replace(staging, out)
     elif not (out / "manifest.json").is_file():
         raise ValueError(f"{out} exists and is no packed corpus; choose another folder")
-    elif PackedStore.open(out).hash != content:
+    elif PackedStore.open(out).hash != manifest["hash"]:
         raise ValueError(f"{out} holds a corpus of another content; delete it or choose another folder")
+    elif any(read_manifest(out)[key] != manifest[key] for key in ("name", "options", "checksums")):
+        with staging_folder(out) as before:  # who reads the old one still has its files open
+            os.replace(out, before / out.name)
+            os.replace(staging, out)
 
 
 def _request_of(store: Path) -> str | None:
