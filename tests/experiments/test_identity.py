@@ -221,6 +221,20 @@ def test_the_fingerprint_finds_a_run_whatever_it_is_called(tmp_path):
     assert run_identity(made) == run_identity(made.with_name(made.name.replace("smoke", "mine")))
 
 
+def test_a_run_of_another_name_is_told_by_its_weights(tmp_path):
+    """The last part of a name that someone gave is no fingerprint: two copies called best are two models."""
+    names = []
+    for parent, content in (("a", b"one"), ("b", b"two"), ("c", b"one")):
+        run = tmp_path / parent / "ours-best"
+        run.mkdir(parents=True)
+        (run / "config.yaml").touch()
+        (run / "weights.safetensors").write_bytes(content)
+        names.append(run_identity(run))
+    assert names[0] == names[2] != names[1]
+    with pytest.raises(ValueError, match="ends in no fingerprint"):
+        run_identity(tmp_path / "nothing-yet")
+
+
 def test_runs_lie_below_the_directory_of_the_command(monkeypatch, tmp_path):
     monkeypatch.delenv("KINEMA_RUNS", raising=False)
     monkeypatch.chdir(tmp_path)

@@ -225,6 +225,22 @@ def test_weights_of_the_least_fid_are_kept(overrides):
     assert run.status["val_loss"] is None  # it was not what chose
 
 
+def test_weights_that_no_score_chose_are_not_kept_in_its_name(overrides, monkeypatch):
+    def refuse(*_):
+        raise ValueError("this judge never saw that")
+
+    monkeypatch.setattr("kinema.experiments.watching.ValidationScores.__call__", refuse)
+    brief = [*overrides, *SHORT, "logger=none", "generator.train.select=fid", "callbacks.score_every=6"]
+    with pytest.raises(ValueError, match="select=fid keeps the best of the weights, and none had a fid"):
+        run_stage(compose(brief), "generator")
+
+
+@pytest.mark.parametrize("stage", ["generator", "tokenizer"])
+def test_no_samples_are_drawn_of_no_clips(overrides, stage):
+    cfg = compose([*overrides, *SHORT, "logger=none", "callbacks.sample_prompts=0"])
+    assert not (run_stage(cfg, stage).path / "samples").exists()
+
+
 @pytest.mark.parametrize("stage", ["generator", "tokenizer"])
 def test_a_score_that_nobody_computes_selects_nothing(overrides, stage):
     with pytest.raises(ValueError, match=rf"{stage}.train.select=fid .* set callbacks.score_every"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -74,10 +75,12 @@ def _upstream(cfg: DictConfig, stage: Stage, corpus_of: Corpora) -> str:
 
 
 def run_identity(run: Path) -> str:
-    """Identify a run: one of ours by its name, which ends in its fingerprint, an imported one by its weights."""
-    weights = RunFolder(run).weights
-    if (run / "config.yaml").exists() or not weights.exists():
-        return run.name.rpartition("-")[2]
+    """Identify a run: ours by its name, which ends in its fingerprint, an imported or renamed one by its weights."""
+    weights, own = RunFolder(run).weights, re.search(r"-([0-9a-f]{12})$", run.name)
+    if own and ((run / "config.yaml").exists() or not weights.exists()):
+        return own[1]
+    if not weights.exists():
+        raise ValueError(f"{run} holds no weights yet, and its name ends in no fingerprint; train it again")
     digest = hashlib.sha256(weights.read_bytes())
     if (run / TEXT).exists():
         digest.update((run / TEXT).read_bytes())

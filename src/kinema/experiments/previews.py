@@ -37,7 +37,9 @@ class MotionSamples:
         self.pipeline: TextToMotion | None = None
 
     def __call__(self, model: Generator, step: int) -> dict[str, float]:
-        """Write a page of players, and films."""
+        """Write a page of players, and films; of no captions, nothing."""
+        if not self.texts:
+            return {}
         if self.pipeline is None:  # the model is the same object every time, only its weights are new
             self.pipeline = self.watched.pipeline(model)
         frames = [min(n, self.pipeline.max_frames) for n in self.frames]
@@ -56,11 +58,12 @@ class Reconstructions:
 
     @torch.no_grad()
     def __call__(self, model: MotionTokenizer, step: int) -> dict[str, float]:
-        """Write a page of players, films of the reconstructions, and the counts of codes."""
-        device = next(model.parameters()).device
-        real = self._clips(model).to(device)
-        if not len(real.lengths):
+        """Write a page of players, films of the reconstructions, and the counts of codes; of no clips, nothing."""
+        chosen = self._chosen(model)
+        if not chosen:
             return {}
+        device = next(model.parameters()).device
+        real = self._clips(chosen).to(device)
         made = model.decode(model.encode(real))
         captured, rebuilt = (self._motions(batch, real.clip_ids) for batch in (real, made))
         pairs = [motion for pair in zip(captured, rebuilt, strict=True) for motion in pair]
@@ -72,10 +75,14 @@ class Reconstructions:
         save_films(rebuilt[: self.films], self.record, step)
         return self._codes(model, step, device)
 
-    def _clips(self, model: MotionTokenizer) -> MotionBatch:
-        least, most = model.space.whole(1), self.store.skeleton.max_frames - 1
+    def _chosen(self, model: MotionTokenizer) -> list[int]:
+        """Choose clips all over the split, of those that fill a latent."""
+        least = model.space.whole(1)
         clips = [int(i) for i in self.store.split_clips("val") if self.store.clips["frames"][i] >= least]
-        chosen = [clips[i * len(clips) // self.prompts] for i in range(min(self.prompts, len(clips)))]
+        return [clips[i * len(clips) // self.prompts] for i in range(min(self.prompts, len(clips)))]
+
+    def _clips(self, chosen: list[int]) -> MotionBatch:
+        most = self.store.skeleton.max_frames - 1
         items = [Item(self.store.clip_frames(i)[:most], i, 0, self.store.clip_name(i)) for i in chosen]
         return collate(items)
 

@@ -99,7 +99,12 @@ def fit(
             warnings.filterwarnings("ignore", message=f".*{harmless}.*")
         _run(trainer, module, data, last, saver)
     kept = keepers.get(recipe.select)
-    if kept is not None and kept.weights:
+    if kept is not None:
+        if not kept.weights:
+            raise ValueError(
+                f"train.select={recipe.select} keeps the best of the weights, and none had a {recipe.select} (the "
+                "notes say why): mend that, or choose last"
+            )
         return Fitted(kept.weights, kept.step, record.seconds, kept.value if kept is best else None)
     weights = {k: v.detach().cpu().clone() for k, v in module.model.state_dict().items()}
     loss = trainer.callback_metrics.get("val/loss")

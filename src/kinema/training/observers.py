@@ -78,7 +78,7 @@ class Scores(Observer, Selection):
         self.record, self.score = record, score
 
     def look(self, trainer: Trainer, pl_module: LightningModule, model: nn.Module) -> None:
-        """Record the scores; a model whose motion is not finite has none."""
+        """Record the scores; a model whose motion can't be scored has none, and a note says why."""
         step = trainer.global_step
         try:
             scores = self.score(model)
