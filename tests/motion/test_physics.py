@@ -11,8 +11,6 @@ from kinema.motion.physics import (
     foot_skating,
     heading_at,
     jitter,
-    root_speed,
-    root_velocity_std,
     turn_angle,
 )
 from kinema.motion.recovery import recover_root
@@ -103,14 +101,6 @@ def test_heading_at_is_the_yaw_of_recovery():
     torch.testing.assert_close(heading_at(features, frames), yaw[torch.arange(3), frames])
 
 
-def test_root_speed_and_deviation_over_real_frames():
-    features = torch.zeros(1, 6, 67)
-    features[0, :4, 1] = torch.tensor([1.0, 3.0, 1.0, 3.0])
-    lengths = torch.tensor([4])
-    assert root_speed(features, lengths).item() == pytest.approx(2)
-    assert root_velocity_std(features, lengths).item() == pytest.approx(math.sqrt(0.5))  # variances 1 and 0
-
-
 @pytest.mark.parametrize("length", [1, 2, 9])
 def test_padding_changes_nothing_and_short_clips_give_numbers(length):
     lengths = torch.tensor([length])
@@ -123,8 +113,6 @@ def test_padding_changes_nothing_and_short_clips_give_numbers(length):
         (lambda j, n: floor_distances(j, n, HUMANML3D)[1], joints, padded_joints),
         (lambda j, n: jitter(j, n, 20.0), joints, padded_joints),
         (turn_angle, features, padded_features),
-        (root_speed, features, padded_features),
-        (root_velocity_std, features, padded_features),
     ]:
         alone = measure(values, lengths)
         assert torch.isfinite(alone).all()

@@ -30,8 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     options = command_line().parse_args(_joined(words))
     try:
-        if hasattr(options, "set"):
-            options.set = _settings(options.set)
+        options.set = _settings(options.set)
         with interruptible(), _plain_warnings():
             code = _function(options.command)(options) or 0
         sys.stdout.flush()  # here, so that a reader that is gone is noticed

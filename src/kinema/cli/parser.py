@@ -92,6 +92,7 @@ def command_line() -> argparse.ArgumentParser:
         prog="kinema", description="Train and compare text-to-motion methods; generate and edit motion from text."
     )
     parser.add_argument("--version", action="version", version=__version__)
+    parser.set_defaults(set=[])  # of commands that have no --set
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, what: str, command: str | None = None) -> argparse.ArgumentParser:

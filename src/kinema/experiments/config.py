@@ -26,12 +26,8 @@ def find_conf(package: Path) -> Path:
 
 CONF = find_conf(Path(__file__).resolve().parents[1])
 TASKS, LENGTHS = ("generation", "editing", "control"), ("real", "predicted")
-DIMS, PERTURBATIONS = ("essential", "redundant"), ("add", "replace")
 SPACES = ("evaluator", "corpus")
-DENSITIES = ("one", "two", "five", "quarter", "all", "mixed")
-EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "oracle", "reconstruction", "generation")
-ORACLES = ("action", "style")
 
 
 def register_resolvers() -> None:

@@ -20,9 +20,6 @@ from kinema.experiments.replications import EACH, over_replications, over_seeds
 from kinema.experiments.spent import spent
 from kinema.experiments.stages import stages
 
-WITH_OPTIONS = ("data", "scale", "text", "seed", "trainer", "evaluator", "paths", "debug")
-"""Config groups that a table takes from its caller; the rest is the table's own."""
-
 PANELS = {"humanml3d": "humanml3d", "kit": "kit_ml"}
 """The panel of a paper's table that shows motion of a skeleton."""
 

@@ -12,7 +12,6 @@ Evaluators hardly see heading, turn angle and root speed, so they are measured o
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -83,20 +82,6 @@ def heading_at(features: Float[Tensor, "b t d"], frames: Int[Tensor, " b"]) -> F
 def turn_angle(features: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
     """Return the signed total turn over all rows, radians: L rows span the L+1 poses they came from."""
     return heading_at(features, lengths)
-
-
-def root_speed(features: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
-    """Return the mean horizontal speed of the root, skeleton units per frame."""
-    return _masked_mean(features[..., 1:3].norm(dim=-1), frame_mask(lengths, features.shape[1]))
-
-
-def root_velocity_std(features: Float[Tensor, "b t d"], lengths: Int[Tensor, " b"]) -> Float[Tensor, " b"]:
-    """Return the population deviation over frames of the horizontal root velocity, skeleton units per frame."""
-    mask = frame_mask(lengths, features.shape[1])
-    velocity = features[..., 1:3]
-    mean = torch.stack([_masked_mean(velocity[..., axis], mask) for axis in (0, 1)], dim=-1)
-    squares = (velocity - mean[:, None]).square().mean(-1)
-    return _masked_mean(squares, mask).sqrt()
 
 
 def _masked(values: Float[Tensor, "b t"], mask: Bool[Tensor, "b t"]) -> Float[Tensor, "b t"]:

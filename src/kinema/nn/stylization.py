@@ -5,6 +5,7 @@ Source: MotionDiffuse (ReMoDiffuse has the same). A branch starts at zero, so th
 
 from __future__ import annotations
 
+import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -120,5 +121,5 @@ def linear_attention(
     """Attend in time linear in the lengths: softmax_d(q) (softmax_k(k)^T v); what `mask` hides has no weight."""
     if mask is not None:
         hidden = ~mask[..., None]
-        key, value = key.masked_fill(hidden, HIDDEN), value.masked_fill(hidden, 0.0)
+        key, value = key.masked_fill(hidden, max(HIDDEN, torch.finfo(key.dtype).min)), value.masked_fill(hidden, 0.0)
     return query.softmax(-1) @ (key.softmax(-2).mT @ value)

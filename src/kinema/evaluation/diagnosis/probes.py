@@ -37,15 +37,13 @@ def probe(generator: Generator, latents: Latents, text: TextFeatures) -> Probe:
 
     Raises ValueError for a generator that doesn't diffuse by DDPM.
     """
-    process = getattr(generator, "process", None)
-    if not isinstance(process, DDPM) or latents.values is None:
-        raise ValueError(f"{type(generator).__name__} doesn't predict by DDPM; choose mdm, motiondiffuse or mardm_ddpm")
     with inference(generator):
-        if isinstance(generator, FrameDiffusion):
-            return _frames(generator, process, latents.values, latents, text)
-        if isinstance(generator, MARDM):
-            return _latents(generator, process, latents.values, latents, text)
-    raise ValueError(f"no probe for {type(generator).__name__}; choose mdm, motiondiffuse or mardm_ddpm")
+        match generator, latents.values:
+            case FrameDiffusion(process=DDPM() as process), Tensor() as values:
+                return _frames(generator, process, values, latents, text)
+            case MARDM(process=DDPM() as process), Tensor() as values:
+                return _latents(generator, process, values, latents, text)
+    raise ValueError(f"{type(generator).__name__} doesn't predict by DDPM; choose mdm, motiondiffuse or mardm_ddpm")
 
 
 def _frames(generator: FrameDiffusion, process: DDPM, values: Tensor, latents: Latents, text: TextFeatures) -> Probe:

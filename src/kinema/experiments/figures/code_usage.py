@@ -24,6 +24,7 @@ from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.experiments.config import read_config
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.instantiate import read_model
+from kinema.motion.skeleton import DIMS
 from kinema.motion.view.draw import new_figure
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BATCH = 64
-DIMS = ("redundant", "essential")
+ORDER = DIMS[::-1]
 CONFIG = {
     TOKENIZER: {"name": str},
     "seed": int,
@@ -103,7 +104,7 @@ def count(tokenizer: MotionTokenizer, store: PackedStore, split: str, usage: Cod
 
 def write_report(results: list[dict[str, Any]], out: Path) -> list[Path]:
     """Write code_usage.json, code_usage.md and, where matplotlib is installed, code_usage.png."""
-    results = sorted(results, key=lambda r: (r[TOKENIZER], r["scale"], r["seed"], DIMS.index(r["dims"]), r["run"]))
+    results = sorted(results, key=lambda r: (r[TOKENIZER], r["scale"], r["seed"], ORDER.index(r["dims"]), r["run"]))
     write_json(out / "code_usage.json", {"runs": results})
     written = [out / "code_usage.json", write_text(out / "code_usage.md", markdown(results))]
     try:
@@ -137,11 +138,11 @@ def draw(results: list[dict[str, Any]], path: Path) -> Path:
     """
     rows: dict[str, dict[str, list[dict[str, Any]]]] = {}
     for result in results:
-        rows.setdefault(label(result), {kind: [] for kind in DIMS})[result["dims"]].append(result)
+        rows.setdefault(label(result), {kind: [] for kind in ORDER})[result["dims"]].append(result)
     figure = new_figure(9, 1 + 2.6 * len(rows), dpi=120)
-    panels = figure.subplots(len(rows), len(DIMS), sharex="row", sharey="row", squeeze=False)
+    panels = figure.subplots(len(rows), len(ORDER), sharex="row", sharey="row", squeeze=False)
     for line, (name, found) in zip(panels, rows.items(), strict=True):
-        for panel, kind in zip(line, DIMS, strict=True):
+        for panel, kind in zip(line, ORDER, strict=True):
             panel.set_title(f"{name}, {kind}", fontsize=10)
             for result in found[kind]:
                 _histogram(panel, result)

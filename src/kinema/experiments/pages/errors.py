@@ -159,7 +159,7 @@ def reconstruction(tokenizers: list[tuple[str, MotionTokenizer]], real: MotionBa
         decoded = tokenizer.decode(tokenizer.encode(batch))
         size = decoded.features.shape[1]
         ours, theirs = (form.normalize(features[:, :size]) for features in (decoded.features, batch.features))
-        losses = F.smooth_l1_loss(ours, theirs, reduction="none")[decoded.mask].mean(0).double().cpu().numpy()
+        losses = F.smooth_l1_loss(ours, theirs, reduction="none")[decoded.mask].mean(0).cpu().double().numpy()
         rows += [{"run": label, "group": group} | found for group, found in shares(form.groups, losses).items()]
     draw = partial(_bars, rows=rows, y="share", log=False)
     return Section("reconstruction", rows, rows, draw)
@@ -183,11 +183,11 @@ def _noise(like: Tensor, seed: int) -> Iterator[Tensor]:
 
 
 def _frames(batch: MotionBatch) -> np.ndarray:
-    return batch.features[batch.mask].double().cpu().numpy()
+    return batch.features[batch.mask].cpu().double().numpy()
 
 
 def _root(values: Tensor) -> float:
-    return values.double().square().mean().sqrt().item()
+    return values.cpu().double().square().mean().sqrt().item()
 
 
 def _some(rows: Rows, run: str) -> set[int]:

@@ -46,13 +46,16 @@ class MixtureSampling(FrameSampling):
             )
 
     def mixture(self, share: float, alone: Bool[Tensor, " b"]) -> Float[Tensor, "b 4"]:
-        """Return the weights of the passes at a share of the way to noise; `alone`: the coin took retrieval away."""
+        """Return the weights of the passes at a share of the way to noise; `alone`: the coin took retrieval away.
+
+        In float64, on the CPU, of which `alone` is.
+        """
         if share <= FINE:
             last = 1 - self.both - self.text - self.retrieval
             rows = torch.tensor([self.both, self.text, self.retrieval, last], dtype=torch.float64)
-            return rows.to(alone.device).expand(len(alone), 4)
+            return rows.expand(len(alone), 4)
         w = 1 + self.coarse * share
-        choices = torch.tensor([[w, 0, 1 - w, 0], [0, w, 0, 1 - w]], dtype=torch.float64, device=alone.device)
+        choices = torch.tensor([[w, 0, 1 - w, 0], [0, w, 0, 1 - w]], dtype=torch.float64)
         return choices[alone.long()]
 
 

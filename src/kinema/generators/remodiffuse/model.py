@@ -219,7 +219,7 @@ class ReMoDiffuse(FrameDiffusion):
         retrieved = self.retrieve(text, real.sum(dim=1))
 
         def predict(x: Tensor, time: Tensor) -> Tensor:
-            weights = options.mixture(time.item() / self.steps, flip(seeds, int(time.item())).to(x.device))
+            weights = options.mixture(time.item() / self.steps, flip(seeds, int(time.item()))).to(x)
             return self.mixed(x, time, words, seen, real, retrieved, weights)
 
         return predict
