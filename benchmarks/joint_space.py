@@ -1,6 +1,6 @@
 """Measure what frames of absolute joints cost real motion: rows to joints and back, in millimetres and in columns.
 
-    python benchmarks/joint_space.py --store stores/open_mocap-... [--split test] [--statistics shared_axis]
+    python benchmarks/joint_space.py [--store stores/open_mocap-...] [--split test] [--statistics shared_axis]
 
 Whole clips, and the crops that training and the protocol cut, go through the tokenizer `joints`. Errors of columns are
 root mean squares of normalised ones; those of the yaw's velocity are told for row 0 and for the others too.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import tempfile
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 
 from kinema.data.datasets import ClipDataset
+from kinema.data.prepare import prepare_store
 from kinema.data.store import PackedStore
 from kinema.motion.recovery import recover_joints
 from kinema.motion.representation import Representation
@@ -44,14 +46,20 @@ def measured(model: Joints, clips: list[np.ndarray]) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print the errors of whole clips and of crops."""
+    """Open or make the corpus, and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--store", required=True, help="a packed corpus")
+    parser.add_argument("--store", help="a packed corpus (default: a synthetic one)")
     parser.add_argument("--split", default="test")
     parser.add_argument("--statistics", default="shared_axis", help="shared_axis or per_joint")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    store = PackedStore.open(arguments.store)
+    with tempfile.TemporaryDirectory() as folder:
+        made = arguments.store or prepare_store("synthetic", None, folder, name="synthetic", size=64, seed=0)
+        tell(PackedStore.open(made), arguments)
+
+
+def tell(store: PackedStore, arguments: argparse.Namespace) -> None:
+    """Print the errors of whole clips and of crops."""
     form = Representation("essential", store.skeleton.name).fit(store.statistics)
     model = Joints(form, statistics=arguments.statistics)
     model.prepare(store.clip_frames(int(clip)) for clip in store.split_clips("train"))

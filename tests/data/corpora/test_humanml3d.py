@@ -101,6 +101,7 @@ def test_the_folder_is_one_that_prepare_reads(report, folders):
     catalog = read_official(folders[2])
     assert len(catalog) == 6
     assert len(catalog.statistics.mean) == 263
+    assert all(clip.origin is not None for clip in catalog)
 
 
 def test_a_second_call_makes_only_what_is_missing(report, folders, tmp_path):

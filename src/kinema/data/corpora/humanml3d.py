@@ -115,7 +115,7 @@ def build_humanml3d(
     pool: Executor | None = None,
     watch: Callable[[Iterable[Any], int], Iterable[Any]] = lambda results, total: results,
 ) -> Report:
-    """Write `new_joint_vecs`, `texts`, `Mean.npy`, `Std.npy` and the split files below `out`.
+    """Write `new_joint_vecs`, `texts`, `Mean.npy`, `Std.npy`, `index.csv` and the split files below `out`.
 
     Files of an earlier call are not made again. Clips without a source are left out of the split files and listed.
     Raises FileNotFoundError for lists or body models that are not there, ValueError if no source is.
@@ -140,6 +140,7 @@ def build_humanml3d(
         name: missing.get(name.removeprefix("M"), "no row of index.csv") for name in names["all"] if name not in there
     }
     _finish(out, names, there, texts, missing)
+    shutil.copyfile(lists / "index.csv", out / "index.csv")  # of which take a clip is: what a split tests
     return Report(out, len(there), missing, {key: len(values) for key, values in names.items()})
 
 

@@ -1,6 +1,6 @@
 """Say where a method fails: of each value of a field, such as each pair of action and style, how far its motion is off.
 
-    python benchmarks/cells.py data=open_mocap scale=tiny data.options.split=compositional source=generation
+    python benchmarks/trained/cells.py data=open_mocap scale=tiny data.options.split=compositional source=generation
         method=latent_flow scale.protocol.split=val [--field label] [--least 6]
 
 Overrides are those of `kinema evaluate`; its first replication is judged. Printed of each value that has `least` clips,
