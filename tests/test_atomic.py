@@ -179,3 +179,11 @@ def test_a_full_disk_names_the_file_and_the_fix(tmp_path, code, place):
     with pytest.raises(OSError, match="it needs 4 GB"):
         fail_within(place(tmp_path / "a.bin"), told)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_is_on_disk_before_it_takes_its_place(tmp_path, monkeypatch):
+    path, before = write_text(tmp_path / "a.txt", "old"), []
+    monkeypatch.setattr(os, "fsync", lambda _: before.append(path.read_text()))
+    with replacing(path, sync=True) as temporary:
+        temporary.write_text("new")
+    assert before == ["old"]

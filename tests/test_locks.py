@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 
-from kinema.locks import hold
+from kinema.locks import attempt, hold
 
 HOLDER = """
 import sys
@@ -79,3 +79,21 @@ def test_the_lock_is_free_after_a_failure(tmp_path):
         pass
     with hold(tmp_path / ".lock", waiting=lambda: (_ for _ in ()).throw(AssertionError("still held"))):
         pass
+
+
+def test_a_thread_does_not_hold_what_another_holds(tmp_path):
+    found = []
+
+    def work():
+        with attempt(tmp_path / ".lock") as mine:
+            found.append(mine)
+
+    def other():
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join(60)
+
+    with hold(tmp_path / ".lock"):
+        other()
+    other()
+    assert found == [False, True]

@@ -199,3 +199,8 @@ def test_bad_choices_are_named():
 
 def test_tables_are_not_saved():
     assert not DDPM().state_dict()
+
+
+def test_training_draws_every_time():
+    times = DDPM(4).draw_times((1000,), torch.Generator().manual_seed(0), torch.device("cpu"))
+    assert torch.bincount(times, minlength=4).tolist() == pytest.approx([250] * 4, abs=60)

@@ -21,6 +21,7 @@ from kinema.evaluation.metrics import (
 )
 from kinema.evaluation.metrics.diversity import draw_pairs, mean_distance
 from kinema.evaluation.metrics.finite import require_finite
+from kinema.motion import physics
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import HUMANML3D, KIT
 
@@ -199,3 +200,36 @@ def test_too_few_motions_for_fid():
     metric.update(normal(5, 3), normal(1, 3))
     with pytest.raises(ValueError, match="at least 2 generated motions, got 1"):
         metric.compute()
+
+
+def turning(make, *degrees):
+    real = make.batch(size=len(degrees), width=67, lengths=[40] * len(degrees))
+    real.features[..., 0] = 0
+    for row, d in zip(real.features, degrees, strict=True):
+        row[1:10, 0] = math.radians(d) / 2 / 9
+    return real
+
+
+def test_the_first_rows_jump_and_the_side_of_a_turn_do_not_count(make):
+    real = turning(make, 90, -60)
+    half = replace(real, features=real.features.clone())
+    half.features[0, :, 0] *= 0.5  # 45 of 90 and 60 of 60 degrees
+    half.features[:, 0, 0] = math.pi / 4  # extraction's jump
+    metric = Physical(HUMANML3D)
+    metric.update(half, real)
+    assert metric.compute()["turn_ratio"].item() == pytest.approx((45 + 60) / 150, rel=1e-4)
+
+
+def test_jitter_of_kit_is_in_metres(make):
+    real = make.batch(size=2, width=64, lengths=[40, 40])
+    metric = Physical(KIT)
+    metric.update(real, real)
+    expected = physics.jitter(recover_joints(real.features, KIT) / 1000, real.lengths, KIT.fps).mean()
+    assert metric.compute()["jitter"].item() == pytest.approx(expected.item(), rel=1e-4)
+
+
+def test_kept_rows_are_those_of_the_pools(make):
+    rows = torch.arange(6.0)[:, None].expand(6, 3)
+    metric = Retrieval(pool=4)
+    metric.update(rows, rows, torch.tensor([True, False, False, False, True, True]))
+    assert metric.count == 1

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import torch
 
+from kinema.evaluation.cache import motion_key, text_key
 from kinema.evaluation.metrics import FrechetDistance, Retrieval
 from kinema.evaluation.metrics.neighbours import isolation
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication
 from kinema.evaluation.sources import RealMotion, ShuffledCaptions, Source, answer
 from kinema.evaluation.training_set import TrainingSet
 from kinema.seeds import protocol_seeds
+from kinema.types import Caption
 
 SMALL = EvaluationProtocol(pool=8, mm_texts=12, mm_repeats=5, mm_pairs=2, diversity_pairs=20)
 
@@ -245,3 +247,26 @@ def test_a_protocol_that_cannot_be_is_refused(change, message):
 
 def test_a_short_protocol_stops_early(make):
     assert run(make, RealMotion(), replace(SMALL, max_batches=2)).metrics["n"] == 16
+
+
+def test_keys_tell_lengths_and_tokens_apart(make):
+    batch = make.batch(lengths=[40] * 8)
+    assert motion_key(batch) != motion_key(replace(batch, lengths=batch.lengths - 4))
+    assert text_key([Caption("a", ("a/DET",))]) != text_key([Caption("a", ("a/NOUN",))])
+
+
+def test_parts_have_the_fid_of_their_own_rows(make):
+    model = make.matching().eval()
+    found = evaluate_replication(
+        Noisy(0.3),
+        batches(make),
+        model,
+        protocol=SMALL,
+        fields=lambda b: {"source": ["a" if i % 4 == 0 else "b" for i in b.entries.tolist()]},
+    )
+    fid = FrechetDistance(8)
+    for i, real in enumerate(batches(make)):
+        made = Noisy(0.3)(real, protocol_seeds(0, 0, 8 * i, 8))
+        keep = real.entries % 4 == 0
+        fid.update(model.embed_motion(real)[keep], model.embed_motion(made)[keep])
+    assert found.breakdowns["source"]["a"]["fid"] == pytest.approx(fid.compute().item(), rel=1e-4)

@@ -375,3 +375,30 @@ def test_an_untrained_motiondiffuse_predicts_no_noise():
     x = torch.randn(3, 12, 6)
     assert not model.denoiser(x, torch.tensor([1, 2, 3]), *model.denoiser.read(text())).any()
     assert not any(block.cross.style.output.weight.any() for block in model.denoiser.blocks)
+
+
+def differ(first: Latents, second: Latents) -> bool:
+    return (first.values - second.values).abs().max().item() > 1e-3
+
+
+def test_the_temperature_reaches_the_process():
+    made = [
+        make("epsilon").sample(text(), LENGTHS, seeds=SEEDS, sampling=FrameSampling(temperature=warm))
+        for warm in (0.0, 1.0)
+    ]
+    assert differ(*made)
+
+
+def test_the_renewal_reaches_the_process():
+    known = Known(latents(), inbetween())
+    made = [
+        make("msflow").sample(
+            text(),
+            None,
+            seeds=SEEDS,
+            known=known,
+            sampling=FrameSampling(solver_steps=6, holding="projection", renewal=share),
+        )
+        for share in (0.0, 0.9)
+    ]
+    assert differ(*made)

@@ -470,3 +470,20 @@ def test_words_are_read_and_how_many_are_hidden_is_not():
     close(*nothing)
     with pytest.raises(ValueError, match="reads_tokens: true"):
         model(batch.values, replace(full, tokens=None, token_mask=None), batch.mask)
+
+
+def differ(first: Latents, second: Latents) -> bool:
+    return (first.values - second.values).abs().max().item() > 1e-3
+
+
+def test_the_temperature_reaches_the_process():
+    made = [
+        make("ddpm").sample(text(), FRAMES, seeds=SEEDS, sampling=replace(SAMPLING, temperature=warm))
+        for warm in (0.0, 1.0)
+    ]
+    assert differ(*made)
+
+
+def test_the_grid_of_times_reaches_the_process():
+    grids = [replace(SAMPLING, solver="euler", solver_steps=4, solver_grid=grid) for grid in ("uniform", "emergence")]
+    assert differ(*(make("flow").sample(text(), FRAMES, seeds=SEEDS, sampling=one) for one in grids))

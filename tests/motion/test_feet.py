@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from kinema.data.synthetic import synthetic_catalog
 from kinema.motion.feet import contacts, drift, legs, lock_feet, runs
 from kinema.motion.kinematics import bone_lengths
 from kinema.motion.physics import foot_skating
+from kinema.motion.rotation import unit
 from kinema.motion.skeleton import HUMANML3D
 
 LEGS = [joint for leg in legs(HUMANML3D) for joint in (leg.knee, leg.ankle, leg.toe)]
@@ -84,3 +87,54 @@ def test_contacts_are_low_slow_and_long_enough():
     toe[20:, 0] = np.arange(20) * 0.1  # 2 m/s
     toe[30, 0] = toe[29, 0]
     assert runs(contacts(toe, 20)) == [(0, 20)]
+
+
+@pytest.fixture(scope="module")
+def slid():
+    clips = [clip.joints().astype(np.float64) for clip in synthetic_catalog(size=40, seed=5)][:4]
+    return [j + np.arange(len(j))[:, None, None] * 0.03 * np.array([0.6, 0, 0.8]) for j in clips]
+
+
+def side(joints, leg):
+    axis = unit(joints[:, leg.ankle] - joints[:, leg.hip])
+    way = joints[:, leg.knee] - joints[:, leg.hip]
+    return way - (way * axis).sum(-1, keepdims=True) * axis
+
+
+def test_knees_bend_to_the_side_that_they_were_bent_to(slid):
+    for before in slid:
+        after = lock_feet(before, HUMANML3D, 20)
+        for leg in legs(HUMANML3D):
+            assert ((side(before, leg) * side(after, leg)).sum(-1) >= 0).all()
+
+
+def test_rate_and_unit_are_the_skeletons(slid):
+    toe = np.zeros((12, 3))
+    toe[:, 0] = np.arange(12) * 0.02
+    assert contacts(toe, 20).all()  # 0.4 m/s
+    assert not contacts(toe, 50).any()  # 1 m/s
+    mm = replace(HUMANML3D, unit="mm")
+    np.testing.assert_allclose(lock_feet(1000 * slid[0], mm, 20) / 1000, lock_feet(slid[0], HUMANML3D, 20), atol=1e-9)
+
+
+def test_a_lifted_foot_at_the_start_is_no_gap():
+    toe = np.zeros((40, 3))
+    toe[:2, 1] = 0.2
+    assert runs(contacts(toe, 20)) == [(2, 40)]
+
+
+def test_a_touch_is_no_contact():
+    toe = np.zeros((40, 3))
+    toe[:, 1] = 0.2
+    toe[10:12, 1] = 0
+    assert runs(contacts(toe, 20)) == []
+
+
+def test_a_foot_is_led_to_its_place_before_it_stands_there(slid):
+    joints = np.tile(slid[0][:1], (60, 1, 1))
+    joints[..., 1] -= joints[..., 1].min()
+    joints[30:, :, 0] += np.arange(30)[:, None] * 0.0075  # standing feet slide, by .2 m
+    joints[:30, :, 1] += 0.2  # and were in the air before
+    moved = (lock_feet(joints, HUMANML3D, 20) - joints)[:, 10, 0]
+    assert abs(moved[30]) > 0.08
+    assert np.abs(np.diff(moved)).max() < 0.04

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,3 +32,14 @@ def test_a_motion_without_seams_has_none():
     found, rest = seams(np.zeros((3, 22, 3)), np.ones(3, bool), HUMANML3D, 20.0)
     assert found == []
     assert (rest.step, rest.jerk, rest.skating) == (0, 0, 0)
+
+
+def test_seams_are_in_metres():
+    joints = np.zeros((40, 22, 3)) + np.array([0, 1.0, 0])
+    joints[20:, :, 0] += 0.1
+    kept = np.ones(40, bool)
+    kept[20:24] = False
+    metres, mm = (
+        seams(joints / unit, kept, replace(HUMANML3D, unit=name), 20.0)[0][0] for name, unit in (("m", 1), ("mm", 1e-3))
+    )
+    assert mm.step == pytest.approx(metres.step)

@@ -85,3 +85,15 @@ def test_gradients_of_rows_are_those_of_padding(attention):
 def test_heads_that_do_not_divide_the_width():
     with pytest.raises(ValueError, match="width 10 is not a multiple of heads 4"):
         Attention(10, heads=4)
+
+
+def test_dropout_acts_in_training_on_probabilities_and_output():
+    torch.manual_seed(0)
+    attention, x = Attention(64, 4, dropout=0.5).train(), torch.randn(2, 40, 64)
+    rows = Rows(torch.arange(40) < torch.tensor([[40], [33]]))
+    for made in (attention(x), attention(rows.pack(x), rows=rows)):
+        assert (made == 0).float().mean().item() == pytest.approx(0.5, abs=0.05)
+    attention.proj = nn.Identity()
+    kept = [attention(x) for _ in range(2)]
+    both = (kept[0] != 0) & (kept[1] != 0)
+    assert not torch.allclose(kept[0][both], kept[1][both])

@@ -52,3 +52,9 @@ def test_cached_steps_equal_the_whole_sequence(norm):
 def test_unknown_norm():
     with pytest.raises(ValueError, match="norm 'mid' is unknown"):
         TransformerBlock(12, 3, 20, norm="mid")
+
+
+@pytest.mark.parametrize(("norm", "shares"), [("pre", [0.0, 0.1]), ("post", [0.1, 0.1])])
+def test_dropout_of_the_mlp(norm, shares):
+    block = TransformerBlock(8, 2, 12, 0.1, norm=norm)
+    assert [part.p for part in block.mlp if isinstance(part, nn.Dropout)] == shares

@@ -201,3 +201,19 @@ def test_a_text_encoder_that_training_was_given_is_read(run, tmp_path):
     write_text_encoder(run, "clip_b32", str(tmp_path / "clip"))
     with pytest.raises(FileNotFoundError, match=r"no CLIP model at .*clip"):
         TextToMotion.from_run(run, "cpu")
+
+
+@pytest.mark.parametrize("path", ["../clip", "{outside}"])
+def test_a_folder_outside_that_is_there_is_not_read(run, tmp_path, path):
+    (run.parent / "clip").mkdir()
+    write_json(run / "text.json", {"encoder": "clip_b32", "path": path.format(outside=run.parent / "clip")})
+    with pytest.raises(ValueError, match=r"text\.json takes its text encoder from .*, which lies outside"):
+        TextToMotion.from_run(run, "cpu")
+
+
+def test_only_a_model_is_replaced(model, tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "one").touch()
+    with pytest.raises(ValueError, match="photos exists"):
+        model.save(tmp_path / "photos", replace=True)
+    assert [p.name for p in (tmp_path / "photos").iterdir()] == ["one"]
