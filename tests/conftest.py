@@ -81,8 +81,9 @@ for stage in ("tokenizer", "generator", "evaluator.matching"):
 
 @pytest.fixture(autouse=True)
 def seeded() -> None:
-    """Seed what beartype draws: of a container it checks one item, chosen by `random`."""
+    """Seed what a test draws without a generator of its own, and what beartype does: one item of a container."""
     random.seed(0)
+    torch.manual_seed(0)
 
 
 Script = Callable[..., subprocess.CompletedProcess]

@@ -53,24 +53,6 @@ def test_a_killed_process_frees_its_lock(tmp_path):
     holder.communicate()
 
 
-def test_threads_exclude_each_other_too(tmp_path):
-    inside, most = [], []
-
-    def work():
-        for _ in range(5):
-            with hold(tmp_path / ".lock"):
-                inside.append(1)
-                most.append(len(inside))
-                inside.pop()
-
-    threads = [threading.Thread(target=work) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(60)
-    assert most == [1] * 20
-
-
 def test_the_lock_is_free_after_a_failure(tmp_path):
     try:
         with hold(tmp_path / ".lock"):

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -26,9 +27,10 @@ from kinema.training.callbacks import Checkpoints, RunRecord
 from kinema.training.fit import BARS
 
 ROOT = Path(__file__).resolve().parents[2]
-ENDLESS = ["tokenizer.train.steps=1000000", "tokenizer.train.validate_every=1000000"]
+ENDLESS = ["tokenizer.train.steps=30000", "tokenizer.train.validate_every=30000"]
 TABLE = """
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from kinema.experiments import reproduce, tables
 whole = tables.load_table("table5")
@@ -65,6 +67,15 @@ def interrupt(process: subprocess.Popen, runs: Path, signum: int) -> int:
     return process.wait(120)
 
 
+@pytest.fixture
+def hears_sigint() -> Iterator[None]:
+    """Take SIGINT as Python does: shells ignore it in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("hears_sigint")
 @pytest.mark.parametrize("signum", [signal.SIGTERM, signal.SIGINT])
 def test_training_says_where_it_was_interrupted_and_goes_on(signum, overrides, monkeypatch):
     """At step 12 of 24, the checkpoint being of step 10: what the resumed run then has is test_resume.py's to say."""
@@ -76,7 +87,6 @@ def test_training_says_where_it_was_interrupted_and_goes_on(signum, overrides, m
             os.kill(os.getpid(), signum)
 
     monkeypatch.setattr(Checkpoints, "on_train_batch_end", interrupted)
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells ignore it in the background
     name = signal.Signals(signum).name
     line = f"interrupted at step 12 of 24 ({name}); run the same command again to go on from step 10"
     with console.capture() as said, pytest.raises(Interrupted) as stop:
@@ -169,7 +179,7 @@ def test_a_table_that_is_interrupted_ends_its_processes_and_renders_nothing(sign
     process = start("table.py", *overrides, *ENDLESS, log=log, cwd=tmp_path)
     assert interrupt(process, tmp_path / "runs", signum) == 128 + signum, log.read_text()
     said = log.read_text()
-    assert re.search(r"^stopped .*interrupted at step \d+ of 1000000", said, re.MULTILINE), said
+    assert re.search(r"^stopped .*interrupted at step \d+ of 30000", said, re.MULTILINE), said
     assert "what is finished is kept" in said
     assert "Traceback" not in said
     assert not (tmp_path / "report").exists()

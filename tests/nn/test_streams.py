@@ -11,16 +11,6 @@ from kinema.nn.swiglu import SwiGLU
 from kinema.types import frame_mask
 
 
-def test_rows_go_back_to_their_places():
-    rows = Rows(frame_mask(torch.tensor([3, 1, 0, 2]), 4))
-    x = torch.randn(4, 4, 5)
-    packed = rows.pack(x)
-    assert packed.shape == (6, 5)
-    assert torch.equal(rows.pad(packed), x * rows.real[..., None])
-    assert rows.place.tolist() == [0, 1, 2, 0, 0, 1]
-    assert rows.spread(torch.arange(4.0)[:, None])[:, 0].tolist() == [0, 0, 0, 1, 3, 3]
-
-
 def test_rotary_products_see_differences_of_positions_alone():
     q, k = torch.randn(5, 1, 8), torch.randn(5, 1, 8)
     products = [
