@@ -63,7 +63,11 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
     check_representation(meta.get("representation"), tokenizer)
     encoder = build_text_encoder(text["encoder"], _text_path(folder, text), device)
     if meta.get("text", encoder.identity) != encoder.identity:
-        raise ValueError(f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}")
+        variable = ENCODERS[text["encoder"]].variable
+        told = f"; set {variable}=FOLDER to where that one lies" if variable else ""
+        raise ValueError(
+            f"{folder} was trained with the text encoder {meta['text']}, this one is {encoder.identity}{told}"
+        )
     parts = {name: load_part(Path(run), device, name)[0] for name, run in runs.items() if run is not None}
     return tokenizer, generator, encoder, parts, {**meta, "text": text}
 

@@ -59,7 +59,8 @@ class Machine(Options):
 
     def check(self) -> None:
         """Raise ValueError where the device isn't there, or computes otherwise than asked for."""
-        if self.precision == "16-mixed" and self.device().type == "cpu":
+        device = self.device()
+        if self.precision == "16-mixed" and device.type == "cpu":
             raise ValueError(
                 "trainer.precision=16-mixed on a CPU computes in bf16, under the identity of a run in fp16; choose "
                 "trainer.precision=bf16-mixed or 32-true"
