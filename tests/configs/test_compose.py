@@ -570,3 +570,14 @@ def test_every_table_names_methods_and_columns_that_exist(table):
     for published in described["paper"].values():
         assert set(published) <= keys
         assert set().union(*published.values()) <= columns
+
+
+def test_names_that_a_configuration_may_hold_are_their_owners():
+    from kinema.evaluation import controlled, oracle, perturbed
+    from kinema.experiments import config
+    from kinema.pipeline import editing
+
+    assert config.PERTURBATIONS == perturbed.HOW
+    assert config.DENSITIES == controlled.DENSITIES
+    assert config.ORACLES == oracle.KNOWS
+    assert set(config.EDITS) == set(editing.TASKS)

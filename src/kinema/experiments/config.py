@@ -25,8 +25,12 @@ def find_conf(package: Path) -> Path:
 
 
 CONF = find_conf(Path(__file__).resolve().parents[1])
+# Names that others own, written here so that a configuration is read without loading torch: test_compose.py compares.
 TASKS, LENGTHS = ("generation", "editing", "control"), ("real", "predicted")
-SPACES = ("evaluator", "corpus")
+PERTURBATIONS, SPACES = ("add", "replace"), ("evaluator", "corpus")
+DENSITIES = ("one", "two", "five", "quarter", "all", "mixed")
+EDITS = ("inbetween", "outpaint", "prefix", "suffix")
+ORACLES = ("action", "style")
 SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "oracle", "reconstruction", "generation")
 
 

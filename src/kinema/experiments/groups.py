@@ -10,18 +10,24 @@ from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.prepare import LIMITS, READERS, check_reader, prepare_store
 from kinema.data.synthetic.corpus import Clips
-from kinema.evaluation.controlled import DENSITIES
-from kinema.evaluation.oracle import KNOWS
-from kinema.evaluation.perturbed import HOW
 from kinema.evaluation.settings import EvaluationProtocol
-from kinema.experiments.config import LENGTHS, SOURCES, SPACES, TASKS, plain
+from kinema.experiments.config import (
+    DENSITIES,
+    EDITS,
+    LENGTHS,
+    ORACLES,
+    PERTURBATIONS,
+    SOURCES,
+    SPACES,
+    TASKS,
+    plain,
+)
 from kinema.experiments.dashboards import MODES
 from kinema.experiments.stages import judges, stages
 from kinema.motion.representation import VARIANTS
 from kinema.motion.skeleton import DIMS, SKELETONS, Skeleton
 from kinema.nn.precision import PRECISIONS
 from kinema.options import Count, NonNegative, Number, OneOf, Options, Positive, Seed, Size, Threads, check, make
-from kinema.pipeline import editing
 from kinema.text import tokens, words
 from kinema.text.encoders import ENCODERS
 from kinema.training.dashboards import NAMES
@@ -127,7 +133,7 @@ class Method(Options):
 class Edit(Options):
     """Choose what an editing evaluation regenerates."""
 
-    task: Annotated[str, OneOf(editing.TASKS)]
+    task: Annotated[str, OneOf(EDITS)]
     paste: bool
 
 
@@ -152,7 +158,7 @@ class Perturb(Options):
     """Choose what `source=perturbed` does to real motion."""
 
     dims: Annotated[str, OneOf(DIMS)]
-    how: Annotated[str, OneOf(HOW)]
+    how: Annotated[str, OneOf(PERTURBATIONS)]
     level: NonNegative
     space: Annotated[str, OneOf(SPACES)]
 
@@ -161,7 +167,7 @@ class Perturb(Options):
 class Oracle(Options):
     """Choose what `source=oracle` knows of a prompt's motion."""
 
-    knows: Annotated[str, OneOf(KNOWS)]
+    knows: Annotated[str, OneOf(ORACLES)]
 
 
 @dataclass(frozen=True)
