@@ -170,7 +170,7 @@ def test_a_cpu_does_not_compute_in_bf16_under_the_name_of_fp16(accelerator, monk
 
 def test_what_changes_a_result_is_no_extra_of_the_machine():
     assert Machine(extra={"benchmark": True}).extra == {"benchmark": True}
-    with pytest.raises(ValueError, match=r"Machine\.extra\.accumulate_grad_batches: only benchmark, .* leave"):
+    with pytest.raises(ValueError, match=r"trainer\.extra\.accumulate_grad_batches: only benchmark, .* leave"):
         Machine(extra={"accumulate_grad_batches": 4})
 
 

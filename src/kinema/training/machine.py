@@ -43,7 +43,7 @@ class Machine(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in self.extra.keys() - set(EXTRAS):
-            raise ValueError(f"Machine.extra.{name}: only {', '.join(EXTRAS)} leave what a run computes as it is")
+            raise ValueError(f"trainer.extra.{name}: only {', '.join(EXTRAS)} leave what a run computes as it is")
 
     def device(self) -> torch.device:
         """Return the device of this process: of several, that which Lightning gives it.
