@@ -41,6 +41,7 @@ def test_rank_is_what_the_launcher_set(environment, rank, monkeypatch):
     ("devices", "place", "number"),
     [
         (1, {}, 0),
+        (1, {"SLURM_LOCALID": "2"}, 0),  # four tasks of a node, each a training of its own
         ("auto", {"LOCAL_RANK": "2"}, 2),
         (-1, {"SLURM_LOCALID": "3", "SLURM_PROCID": "7"}, 3),
         ("2", {"LOCAL_RANK": "1"}, 1),

@@ -578,6 +578,6 @@ def test_names_that_a_configuration_may_hold_are_their_owners():
     from kinema.pipeline import editing
 
     assert config.PERTURBATIONS == perturbed.HOW
-    assert config.DENSITIES == controlled.DENSITIES
+    assert (*controlled.FRAMES, "mixed") == config.DENSITIES
     assert config.ORACLES == oracle.KNOWS
     assert set(config.EDITS) == set(editing.TASKS)

@@ -19,7 +19,6 @@ FAR = 0.5
 """Metres by which a joint misses its place, as OmniControl counts them."""
 FRAMES = {"one": lambda n: 1, "two": lambda n: 2, "five": lambda n: 5, "quarter": lambda n: n // 4, "all": lambda n: n}
 """How many of a motion's n frames are held; OmniControl's 1, 2, 5, 49 and 196 of 196."""
-DENSITIES = (*FRAMES, "mixed")
 
 
 class Controlled(Source):

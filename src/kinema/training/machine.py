@@ -54,7 +54,11 @@ class Machine(Options):
         if device.type != "cuda":
             return device
         named = self.devices.split(",") if isinstance(self.devices, str) and "," in self.devices else self.devices
-        numbers = [int(n) for n in named] if isinstance(named, list) else list(range(torch.cuda.device_count()))
+        if isinstance(named, list):
+            numbers = [int(number) for number in named]
+        else:
+            there = torch.cuda.device_count()
+            numbers = list(range(there if named in ("auto", "-1", -1) else min(int(named), there)))
         return torch.device("cuda", numbers[local_rank() % len(numbers)])
 
     def check(self) -> None:
