@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from kinema.evaluation.encoders.base import caption_keys, false_negatives
 from kinema.evaluation.encoders.t2m import DecompositionAutoencoder, draw_shift
+from kinema.experiments.config import CONF, compose
+from kinema.experiments.stages import get_stage
+from kinema.motion.statistics import Statistics
+from kinema.runs.build import build
 from kinema.text.tokens import clip_tokens
 from kinema.text.words import word_vectors
 from kinema.types import Caption, MotionBatch
 
 KINDS = ["matching", "contrastive"]
+EVALUATORS = sorted(file.stem for file in (CONF / "evaluator").glob("*.yaml"))
 
 
 def garbage(batch, extra):
@@ -45,6 +51,21 @@ def test_legacy_padding_lets_garbage_in(make):
     model, batch = make.matching(padding="legacy").eval(), make.batch(lengths=[16] * 8)
     changed = (model.embed_motion(garbage(batch, 0)) - model.embed_motion(batch)).abs().amax(1)
     assert (changed > 1e-4).all()
+
+
+@pytest.mark.parametrize("evaluator", EVALUATORS)
+@pytest.mark.parametrize("stage", KINDS)
+def test_no_judge_of_a_table_sees_what_else_is_in_a_batch(stage, evaluator, make):
+    """Statistics are those of a corpus: zero before normalisation is a pose deep in the ground after it."""
+    judge = build(get_stage(stage).spec(compose(["scale=smoke", f"evaluator={evaluator}"], "evaluate")))
+    width = judge.representation.skeleton.feature_width
+    rng = np.random.default_rng(3)
+    judge.representation.fit(Statistics(rng.normal(size=width), 0.2 + rng.random(width)))
+    batch = make.batch(lengths=[40, 16, 36, 24, 40, 8, 12, 20])
+    together = judge.eval().embed_motion(batch)
+    for row, length in enumerate(batch.lengths.tolist()):
+        alone = MotionBatch(batch.features[row : row + 1, :length], batch.lengths[row : row + 1])
+        torch.testing.assert_close(judge.embed_motion(alone)[0], together[row], rtol=1e-4, atol=1e-4)
 
 
 def test_the_longest_clip_ends_as_in_the_published_input(make):

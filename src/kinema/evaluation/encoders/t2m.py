@@ -63,9 +63,11 @@ class MatchingEvaluator(TextMotionEvaluator):
 
     `negative_shift`: "nonzero" never pairs a negative with its own positive; "legacy" draws the shift from 0..B-2 and
     applies it to the batch sorted by descending length. `padding`: "masked" gives the movement encoder zeros past a
-    clip's end, "legacy" whatever stands there. A clip of exactly `max_frames` ends where the published zero-padded
-    input ended, so it sees the convolution's own padding. `objective`: "margin" is the paper's; "infonce" contrasts
-    the whole batch by squared distance over `temperature`, leaving out negatives whose caption says the same.
+    clip's end, as the published code gives them for real motion; "legacy" whatever stands there, for motion that brings
+    frames past its end (batches of ours have zeros there before normalisation, which are no motion). A clip of exactly
+    `max_frames` ends where the published zero-padded input ended, so it sees the convolution's own padding.
+    `objective`: "margin" is the paper's; "infonce" contrasts the whole batch by squared distance over `temperature`,
+    leaving out negatives whose caption says the same.
     """
 
     @checked
