@@ -12,11 +12,11 @@ import pytest
 from kinema import cli
 from kinema.data.catalog import read_joints_folder
 from kinema.data.doctor import diagnose, exit_code, format
-from kinema.data.prepare import prepare, prepare_store, read_corpus
+from kinema.data.prepare import list_files, prepare, prepare_store, read_corpus
 from kinema.data.store import PackedStore
 from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments.config import compose
-from kinema.experiments.corpus import open_corpus
+from kinema.experiments.corpus import files_listed_once, open_corpus
 from kinema.experiments.groups import check_groups
 from kinema.motion.convention import Convention
 from kinema.motion.features import extract
@@ -317,3 +317,33 @@ def test_the_rate_of_the_configuration_makes_another_store_and_the_usual_one_the
         asked("data.fps=fast")
     with pytest.raises(ValueError, match="fps is no option"):
         open_corpus(compose(["data=synthetic", "data.fps=60", f"paths.stores={tmp_path}/stores"]))
+
+
+def test_a_command_lists_a_corpus_once_and_the_next_one_sees_what_has_changed(folder, tmp_path, monkeypatch):
+    cfg = compose(["data=custom", f"data.source={folder}", f"paths.stores={tmp_path}/stores"])
+    listed = []
+    monkeypatch.setattr(
+        "kinema.experiments.corpus.list_files", lambda source: listed.append(source) or list_files(source)
+    )
+    with files_listed_once():
+        first = open_corpus(cfg)
+        change_all(folder, lambda j: j[:-1])
+        assert open_corpus(cfg) == first
+    assert listed == [str(folder)]
+    with files_listed_once():
+        assert open_corpus(cfg) != first
+    assert open_corpus(cfg) != first
+    assert len(listed) == 3
+
+
+@pytest.mark.parametrize(
+    "words", [["train", "stage=tokenizer", "method=mdm"], ["reproduce", "table2", "--plan"]], ids=lambda w: w[0]
+)
+def test_every_command_lists_a_corpus_once(words, folder, tmp_path, monkeypatch):
+    listed = []
+    monkeypatch.setattr(
+        "kinema.experiments.corpus.list_files", lambda source: listed.append(source) or list_files(source)
+    )
+    paths = [f"paths.{name}={tmp_path}/{name}" for name in ("stores", "runs", "cache")]
+    assert cli.main([*words, "data=custom", f"data.source={folder}", "scale=smoke", *paths]) == 0
+    assert listed == [str(folder)]

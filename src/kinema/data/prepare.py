@@ -90,13 +90,15 @@ def prepare_store(
     max_missing: Share = 0.05,
     max_unusable: Share = MAX_UNUSABLE,
     processes: Threads = 1,
+    listing: str | None = None,
     **reader_options: Any,
 ) -> Path:
-    """Prepare a corpus below `out_root`, or give the store that the same request made before, in milliseconds.
+    """Prepare a corpus below `out_root`, or give the store that the same request made before.
 
-    The request is the reader, the options, and names, sizes and times of the source's files; `source` is None for a
-    corpus that is generated. `mirror` defaults to True, except for official folders, which hold their mirrored clips
-    already. The other options are those of `prepare`; what is left goes to the reader.
+    The request is the reader, the options, and names, sizes and times of the source's files, or the `listing` of them
+    that the caller has; `source` is None for a corpus that is generated. `mirror` defaults to True, except for official
+    folders, which hold their mirrored clips already. The other options are those of `prepare`; what is left goes to
+    the reader.
     """
     mirror = reader != "official" if mirror is None else mirror
     options: dict[str, Any] = {"name": name, "skeleton": skeleton, "mirror": mirror, "legacy_fps": legacy_fps}
@@ -104,7 +106,8 @@ def prepare_store(
         reader_options["skeleton"] = skeleton
     module, _, _ = READERS[reader].partition(":")
     versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
-    asked = [versions, reader, options, max_missing, max_unusable, reader_options, _listing(source)]
+    asked = [versions, reader, options, max_missing, max_unusable, reader_options]
+    asked.append(list_files(source) if listing is None else listing)
     asked += [_stamp(value) for value in reader_options.values() if isinstance(value, str) and Path(value).is_file()]
     request = hashlib.sha256(json.dumps(asked, sort_keys=True, default=str).encode()).hexdigest()[:12]
     out = Path(out_root) / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name)}-{request}"
@@ -260,15 +263,15 @@ def _request_of(store: Path) -> str | None:
     return read_manifest(store)["options"]["request"] if file.is_file() else None
 
 
-def _listing(source: str | Path | None) -> str:
-    """Name a source's files cheaply: paths below it and of its index, sizes and times."""
+def list_files(source: str | Path | None) -> str:
+    """Name a source's files without reading them: a hash of the paths below it and of its index, sizes and times."""
     if source is None:
         return ""
     root, found = Path(source), hashlib.sha256()
     for folder, files in walk(root):
+        below = os.path.relpath(folder, root)
         for file in files:
-            stamp = _stamp(os.path.join(folder, file))
-            found.update(f"{os.path.relpath(folder, root)}/{file} {stamp}\n".encode())
+            found.update(f"{below}/{file} {_stamp(os.path.join(folder, file))}\n".encode())
     index = index_file(root)
     if index is not None and index.parent != root.absolute():
         found.update(f"../index.csv {_stamp(index)}\n".encode())

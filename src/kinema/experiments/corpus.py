@@ -2,19 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from omegaconf import DictConfig
 
 from kinema.data.datasets import ClipDataset, WindowDataset
-from kinema.data.prepare import prepare_store, takes
+from kinema.data.prepare import list_files, prepare_store, takes
 from kinema.data.store import PackedStore
 from kinema.experiments.config import plain
 from kinema.motion.skeleton import get_skeleton
 
+_LISTED: ContextVar[dict[str, str] | None] = ContextVar("listed", default=None)
+"""What is known of the files of each source; None: every question is answered anew."""
+
+
+@contextmanager
+def files_listed_once() -> Iterator[None]:
+    """List the files of each corpus once until the end of the block: what changes meanwhile counts after it.
+
+    A command asks for its corpus at every run and row that it looks up, and HumanML3D is 88,000 files.
+    """
+    token = _LISTED.set({})
+    try:
+        yield
+    finally:
+        _LISTED.reset(token)
+
 
 def open_corpus(cfg: DictConfig) -> Path:
-    """Prepare the corpus where it isn't yet and give its store's folder; a prepared one costs milliseconds."""
+    """Prepare the corpus where it isn't yet and give its store's folder."""
     return open_split(cfg, cfg.data.options.get("split"))
 
 
@@ -31,8 +50,18 @@ def open_split(cfg: DictConfig, split: str | None) -> Path:
         name=data["name"],
         skeleton=data["skeleton"],
         mirror=data["mirror"],
+        listing=_listing(data["source"]),
         **{key: value for key, value in options.items() if value is not None},
     )
+
+
+def _listing(source: str | None) -> str:
+    known = _LISTED.get()
+    if source is None or known is None:
+        return list_files(source)
+    if source not in known:
+        known[source] = list_files(source)
+    return known[source]
 
 
 def corpus_label(cfg: DictConfig) -> str:

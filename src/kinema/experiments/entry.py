@@ -64,7 +64,10 @@ def _run(config_name: str, task: Callable[[DictConfig], float | None], arguments
         sweep = HydraConfig.get().mode == RunMode.MULTIRUN
         try:
             refuse_processes(cfg, multirun=sweep)
-            return task(cfg)
+            from kinema.experiments.corpus import files_listed_once  # here: --help must not pay for it
+
+            with files_listed_once():
+                return task(cfg)
         except Exception as error:
             if sweep:  # it must not end the others: they are listed when all are done
                 own = [o for o in HydraConfig.get().overrides.task if o not in asked]

@@ -17,6 +17,7 @@ from types import FrameType
 from omegaconf import DictConfig
 
 from kinema.experiments.config import compose, refuse_processes
+from kinema.experiments.corpus import files_listed_once
 from kinema.experiments.replications import whole_lines
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import companions_of, get_stage, needs_of
@@ -250,7 +251,7 @@ def work(job: Job, *, quiet: bool) -> None:
 
 
 def _work(job: Job, bars: list[str]) -> None:
-    with interruptible():
+    with interruptible(), files_listed_once():
         cfg = compose([*bars, *job.overrides], job.command)
         refuse_processes(cfg, multirun=True)
         if job.command == TRAIN:

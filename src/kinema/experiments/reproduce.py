@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from kinema.experiments.config import compose
+from kinema.experiments.corpus import files_listed_once
 from kinema.experiments.dashboards import show_page, show_table
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs, processes, run_jobs
@@ -58,7 +59,7 @@ def main(arguments: list[str] | None = None) -> None:
     overrides = [word for word in words if "=" in word or word.startswith("~")]
     names = [options.pop("name"), *(word for word in words if word not in overrides)]
     try:
-        with interruptible():
+        with interruptible(), files_listed_once():
             reproduce_all(names, overrides, **options)
     except Interrupted as stop:
         print(f"stopped   {stop}; what is finished is kept", file=sys.stderr)
