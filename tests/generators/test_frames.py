@@ -49,6 +49,7 @@ MODELS = {
     "unmasked": lambda **options: mdm(mask_frames=False, **options),
     "decoder": lambda **options: mdm(**(DECODER | options)),
     "motiondiffuse": motiondiffuse,
+    "words_as_they_are": lambda **options: motiondiffuse(text_layers=0, **options),
     "msflow": msflow,
     "msflow_groups": lambda **options: msflow(**(GROUPED | options)),
     "msflow_cross": lambda **options: msflow(text_attention="cross", refiner_layers=0, **options),

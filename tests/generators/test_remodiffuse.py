@@ -293,3 +293,9 @@ def test_a_model_without_a_database_says_so():
     model._database = ()
     with pytest.raises(ValueError, match="retrieves from a database and has none"):
         model.sample(text(), LENGTHS, seeds=SEEDS)
+
+
+def test_words_may_be_read_as_they_are():
+    model = make(text_layers=0, retrieval_text_layers=0)
+    made = model.sample(text(), LENGTHS, seeds=torch.tensor([1, 2, 3]))
+    assert torch.isfinite(made.values).all()

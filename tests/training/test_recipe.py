@@ -6,6 +6,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from kinema.experiments.training import Budget
 from kinema.training.recipe import Recipe
 
 
@@ -47,3 +48,18 @@ def test_wrong_choices_name_what_is_allowed(wrong: dict, named: str):
 def test_steps_must_be_positive():
     with pytest.raises(ValueError, match="steps"):
         Recipe(0, 1)
+
+
+@pytest.mark.parametrize(
+    ("epochs", "repeats", "items", "steps"),
+    [(50, 200, 4472, 43_650), (10_000, 1, 4472, 40_000), (3, 1, 9, 3), (40, 200, 23_384, 182_680)],
+)
+def test_what_a_batch_leaves_over_is_lost_once_an_epoch(epochs, repeats, items, steps):
+    """MotionDiffuse: the corpus is repeated first and divided into batches then."""
+    assert Budget("clips", 1024, epochs=epochs, repeats=repeats).steps_of(items) == steps
+
+
+def test_steps_come_before_epochs():
+    assert Budget("clips", 64, steps=7, epochs=3).steps_of(1000) == 7
+    with pytest.raises(ValueError, match=r"x\.steps and x\.epochs are both empty"):
+        Budget("clips", 64).steps_of(1000, "x")

@@ -41,11 +41,24 @@ from kinema.types import Latents, MotionBatch
 
 @dataclass(frozen=True)
 class Budget(Options):
-    """What a recipe in the configuration has beside a `Recipe`: the kind of data, and epochs in place of steps."""
+    """What a recipe in the configuration has beside a `Recipe`: the kind of data, and epochs in place of steps.
+
+    An epoch passes the corpus `repeats` times, as if that were one of so many times the size.
+    """
 
     data: Annotated[str, OneOf(KINDS)]
+    batch_size: Count
     steps: Count | None = None
     epochs: Count | None = None
+    repeats: Count = 1
+
+    def steps_of(self, items: int, at: str = "train") -> int:
+        """Count the steps on a corpus of so many items: whole batches of each epoch. Raises ValueError naming `at`."""
+        if self.steps is not None:
+            return self.steps
+        if self.epochs is None:
+            raise ValueError(f"{at}.steps and {at}.epochs are both empty; set one of them")
+        return max(1, self.repeats * items // self.batch_size) * self.epochs
 
 
 def make_model(
@@ -115,21 +128,23 @@ def make_recipe(train: dict[str, Any], store: PackedStore, debug_steps: int | No
     own = {field.name for kind in (Budget, Recipe) for field in fields(kind)}
     for name in sorted(train.keys() - own):
         raise ValueError(f"{at}.{name} is no option; a recipe has {', '.join(sorted(own))}")
-    budget = make(Budget, {k: v for k, v in train.items() if k in {field.name for field in fields(Budget)}}, at)
-    values = {k: v for k, v in train.items() if k not in ("data", "epochs")}
+    budget = read_budget(train, at)
+    values = {k: v for k, v in train.items() if k not in ("data", "epochs", "repeats")}
     check(Recipe, {k: v for k, v in values.items() if k != "steps"}, at)
     if budget.steps is None:
-        if budget.epochs is None:
-            raise ValueError(f"{at}.steps and {at}.epochs are both empty; set one of them")
         window = {k: train[k] for k in ("window", "legacy_windows") if k in train}
         probe = MotionDataModule(store.path, kind=budget.data, batch_size=1, steps=1, **window)
-        per_epoch = len(probe.dataset("train")) // train["batch_size"]
-        values["steps"] = max(1, per_epoch) * budget.epochs
+        values["steps"] = budget.steps_of(len(probe.dataset("train")), at)
     if debug_steps:
         values |= {"steps": debug_steps, "validate_every": debug_steps, "checkpoint_every": debug_steps}
     values |= {k: tuple(values[k]) for k in ("milestones", "betas", "clip_each") if k in values}
     recipe = make(Recipe, values, at)
     return replace(recipe, validate_every=min(recipe.validate_every, recipe.steps))
+
+
+def read_budget(train: dict[str, Any], at: str = "train") -> Budget:
+    """Take a recipe's budget from its config; raises ValueError naming an option."""
+    return make(Budget, {k: v for k, v in train.items() if k in {field.name for field in fields(Budget)}}, at)
 
 
 def generator_module(

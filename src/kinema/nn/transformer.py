@@ -98,8 +98,11 @@ def run(
 
 
 def initialize_as_torch(blocks: nn.ModuleList) -> None:
-    """Start as torch's stacks of layers do: attention Xavier, its biases 0, all blocks copies of the first (MDM §2)."""
-    for part in blocks[0].modules():
+    """Start as torch's stacks of layers do: attention Xavier, its biases 0, all blocks copies of the first (MDM §2).
+
+    A stack may be of no block.
+    """
+    for part in (part for block in blocks[:1] for part in block.modules()):
         if isinstance(part, Attention):
             for layer in (part.query, part.key, part.value):
                 nn.init.xavier_uniform_(layer.weight, gain=2**-0.5)  # as the rows of one matrix three times as high

@@ -23,6 +23,7 @@ from kinema.experiments.sampling import build_sampling
 from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.generator import GeneratorStage
 from kinema.experiments.stages.tokenizer import TokenizerStage
+from kinema.experiments.training import read_budget
 from kinema.pipeline import TextToMotion
 from kinema.runs.console import console
 from kinema.runs.versions import versions
@@ -55,7 +56,7 @@ def count(cfg: DictConfig, page: dict[str, Any]) -> Iterator[dict[str, Any]]:
     model = untrained(cfg, store, motions)
     for part, network in trained(model).items():
         train = plain(get_stage(part).config(cfg))["train"]
-        steps = train.get("steps") or train["epochs"] * page[train["data"]] // train["batch_size"]
+        steps = read_budget(train).steps_of(page[train["data"]])
         each = training_step(model, part, motions, train.get("window", 64) if train["data"] == "windows" else None)
         row = {"part": f"training the {part}", "parameters": parameters(network), "batch": train["batch_size"]}
         yield row | _hours(each * train["batch_size"] / page["motions"], steps, page)
