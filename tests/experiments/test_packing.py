@@ -14,7 +14,8 @@ from kinema.atomic import write_json
 from kinema.cli.parser import command_line
 from kinema.data.labels import read_label
 from kinema.data.store import PackedStore
-from kinema.experiments.config import compose
+from kinema.data.synthetic import synthetic_clips, write_joints_folder
+from kinema.experiments.config import compose, read_config
 from kinema.experiments.corpus import open_corpus
 from kinema.experiments.packing import figures, pack, strictest
 from kinema.experiments.repertoires import foreign_sentences
@@ -63,6 +64,34 @@ def test_the_commands_of_a_card_make_the_same_run(run, tmp_path):
     again = compose([word for word in train[2:] if not word.startswith("stage=")])
     assert stage_folder(again, get_stage("generator")).path == run
     command_line().parse_args(packed[1:])
+
+
+@pytest.mark.parametrize("name", ["custom", "mine"])
+def test_a_corpus_of_ones_own_is_packed(name, micro, shelf, tmp_path, monkeypatch):
+    """The card's command leaves the folder open; the corpus that is read is the run's."""
+    for kind in ("runs", "stores", "cache"):
+        monkeypatch.setenv(f"KINEMA_{kind.upper()}", str(shelf / kind))
+    folder = write_joints_folder(synthetic_clips(size=40, seed=len(name)), tmp_path / "corpus")
+    others = [word for word in micro if not word.startswith("data")]
+    own = ["data=custom", f"data.source={folder}", f"data.name={name}", "method=mardm_sit"]
+    run = run_stage(compose([*others, *own]), "generator").path
+    model = pack(run, tmp_path / "small", half=False, licence=None)
+    assert model.card.corpus.startswith(f"{name} (")
+    train = shlex.split(model.card.commands[0])
+    assert str(tmp_path) not in model.card.commands[0]
+    again = [f"data.source={folder}" if word == "data.source=FOLDER" else word for word in train[2:]]
+    again = compose([word for word in again if not word.startswith("stage=")])
+    assert stage_folder(again, get_stage("generator")).path == run
+
+
+def test_a_scale_of_ones_own_is_packed_without_a_command(run, tmp_path, monkeypatch, capsys):
+    theirs = OmegaConf.merge(read_config(run), {"scale": {"name": "my_own"}})
+    monkeypatch.setattr("kinema.experiments.packing.read_config", lambda folder: theirs)
+    model = pack(run, tmp_path / "small", half=False, licence=None)
+    told = " ".join(capsys.readouterr().out.split())
+    assert "the card will not say how to train this again: scale=my_own is no option" in told
+    assert model.card.commands == []
+    assert "kinema train" not in (tmp_path / "small" / "README.md").read_text()
 
 
 def test_figures_are_those_of_the_run_s_own_sampling(run, micro, tmp_path):

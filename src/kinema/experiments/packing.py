@@ -9,7 +9,7 @@ from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.store import PackedStore
 from kinema.experiments.config import CONF, LENGTHS, compose, plain, read_config
@@ -19,6 +19,7 @@ from kinema.experiments.repertoires import repertoire_of
 from kinema.experiments.stages import companions_of, get_stage, needs_of
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.card import UNKNOWN, Card
+from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.latest import find_run
 from kinema.runs.parts import GENERATOR, TOKENIZER
@@ -27,14 +28,18 @@ from kinema.runs.versions import versions
 SCORES = {"r1": "R@1", "r3": "R@3", "fid": "FID", "clip_score": "CLIP-score", "foot_skating": "foot skating"}
 GIVEN = ("representation", "text", "data")
 """What of a configuration all stages share."""
+OWN = "custom"
+"""The option of data for a corpus that has none of its own; its folder stands for where somebody else has it."""
+OWN_FOLDER = "data.source=FOLDER"
 NOT_SAID = ("data.source", "data.workers", "data.paper", "text.path")
 
 
 def pack(run: str | Path, out: str | Path, *, half: bool, licence: str | None, replace: bool = False) -> TextToMotion:
     """Write a generator's run with its parts, card and repertoire as one folder; gives the model.
 
-    The corpus is opened, and prepared where it isn't yet: its licences and captions are read. Raises ValueError or
-    FileNotFoundError for a run that is not finished or was imported, or a folder that exists.
+    The corpus is opened, and prepared where it isn't yet: its licences and captions are read. What configuration files
+    of this checkout don't compose (a scale or method of somebody's own) has no command in the card, which is said.
+    Raises ValueError or FileNotFoundError for a run that is not finished or was imported, or a folder that exists.
     """
     folder, out = find_run(run), Path(out)
     if out.exists() and not replace:
@@ -43,17 +48,16 @@ def pack(run: str | Path, out: str | Path, *, half: bool, licence: str | None, r
     if not (folder / "config.yaml").is_file():
         raise ValueError(f"{folder} has no config.yaml: only runs that were trained here can say what they are")
     cfg = read_config(folder)
-    train = [f"stage={GENERATOR}", *_words(cfg), *changes(cfg, _words(cfg), "train", _nodes())]
-    store = PackedStore.open(open_corpus(compose(train)))
-    commands = [["kinema", "train", *train], ["kinema", "pack", f"runs/{GENERATOR}/{folder.name}", "--out", out.name]]
-    commands[1] += ["--half"] if half else []
+    train = _command(["kinema", "train", f"stage={GENERATOR}"], cfg, "train", _nodes())
+    store = PackedStore.open(_corpus_of(cfg))
+    again = ["kinema", "pack", f"runs/{GENERATOR}/{folder.name}", "--out", out.name, *(["--half"] if half else [])]
     sources = _sources(store)
     licence = licence or strictest([one["licence"] for one in sources])
     about: dict[str, Any] = {
         "half": half,
         "licence": licence,
         "sources": sources,
-        "commands": [shlex.join(one) for one in commands],
+        "commands": [train, shlex.join(again)] if train else [],
     }
     model.card = replaced(_card(cfg, model, store, folder), name=out.name, **about)
     model.repertoire = repertoire_of(store, model.text_encoder)
@@ -80,7 +84,34 @@ def _card(cfg: DictConfig, model: TextToMotion, store: PackedStore, folder: Path
 
 
 def _words(cfg: DictConfig) -> list[str]:
-    return [f"method={cfg.method.name}", f"data={cfg.data.name}", f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
+    name = cfg.data.name
+    data = [f"data={name}"] if _is_option(name) else [f"data={OWN}", f"data.name={name}"]
+    data += [OWN_FOLDER] if data[0] == f"data={OWN}" else []
+    return [f"method={cfg.method.name}", *data, f"scale={cfg.scale.name}", f"seed={cfg.seed}"]
+
+
+def _is_option(corpus: str) -> bool:
+    return (CONF / "data" / f"{corpus}.yaml").is_file()
+
+
+def _command(start: list[str], cfg: DictConfig, job: str, nodes: tuple[str, ...]) -> str:
+    """Return the command line that composes a configuration again; empty where none does, which is printed."""
+    try:
+        return shlex.join([*start, *_words(cfg), *changes(cfg, _words(cfg), job, nodes)])
+    except ValueError as error:
+        console.print(f"[yellow]note[/]      the card will not say how to {job} this again: {error}")
+        return ""
+
+
+def _corpus_of(cfg: DictConfig) -> Path:
+    """Open a run's corpus in the folder that the run read, or, where that is gone, in this machine's."""
+    usual = compose([f"data={cfg.data.name}" if _is_option(cfg.data.name) else f"data={OWN}"])
+    own = OmegaConf.select(cfg, "data.source", throw_on_missing=False)
+    there = own is not None and Path(own).is_dir()
+    source = own if there or OmegaConf.is_missing(usual.data, "source") else usual.data.source
+    here = cfg.copy()
+    here.paths, here.data.source = usual.paths, source
+    return open_corpus(here)
 
 
 def _nodes() -> tuple[str, ...]:
@@ -128,13 +159,13 @@ def strictest(licences: list[str]) -> str:
 
 def _figure(one: Listed) -> dict[str, Any]:
     cfg, split = read_config(one.folder.path), one.provenance["protocol"]["split"]
-    given = [*_words(cfg), *changes(cfg, _words(cfg), "evaluate", (*_nodes(), "scale.protocol", "replications"))]
+    nodes = (*_nodes(), "scale.protocol", "replications")
     scores = {label: value.text(3) for name, label in SCORES.items() if (value := one.scores().get(name)) is not None}
     scores["replications"] = str(len(one.lines))
     return {
         "split": split,
         "scores": scores,
-        "command": shlex.join(["kinema", "evaluate", "source=generation", *given]),
+        "command": _command(["kinema", "evaluate", "source=generation"], cfg, "evaluate", nodes),
     }
 
 

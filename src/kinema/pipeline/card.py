@@ -155,7 +155,7 @@ def _figures(card: Card) -> str:
     for one in card.figures:
         found += [f"On the {one['split']} split:", "", "| | |", "|---|---|"]
         found += [f"| {name} | {value} |" for name, value in one["scores"].items()]
-        found += ["", "```bash", one["command"], "```", ""]
+        found += ["", "```bash", one["command"], "```", ""] if one["command"] else [""]
     return "\n".join(found)
 
 
