@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -134,6 +135,55 @@ def test_generate_edit_and_look(run, capsys):
     assert described["upstream"] == {"tokenizer": "../ae"}
 
 
+def test_what_is_decoded_raw_keeps_nothing_and_held_feet_are_said(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--seed", "3", "--frames", "40", *FAST]
+    assert cli.main([*make, "--out", "walk.npz"]) == 0
+    change = ["edit", "--motion", "walk.npz", "--text", "someone sits", "--run", str(run), "--keep", "0:20", *FAST]
+    assert cli.main([*change, "--lock-feet", "--out", "edited.npz"]) == 0
+    assert "kept frames 0:20 (but for feet that were held); largest step" in capsys.readouterr().out
+    assert cli.main([*change, "--raw", "--out", "raw.npz"]) == 0
+    assert "kept" not in capsys.readouterr().out
+    assert load_npz("raw.npz").kept is None
+
+
+def test_a_part_of_a_long_motion_is_taken(run, capsys):
+    make = ["generate", "a person walks", "--run", str(run), "--seed", "3", "--chain", "--seconds", "15", *FAST]
+    assert cli.main([*make, "--out", "long.npz"]) == 0
+    long = load_npz("long.npz")
+    change = ["edit", "--motion", "long.npz", "--text", "someone sits", "--keep", "0:20", "--run", str(run), *FAST]
+    fails(capsys, [*change, "--out", "edited.npz"], "allowed: 1 to 196 frames", "cut a part of it out (--part 0:196)")
+    assert cli.main([*change, "--part", "5s:10s", "--out", "edited.npz"]) == 0
+    assert "frames 100:200 of 300" in capsys.readouterr().out
+    edited = load_npz("edited.npz")
+    assert len(edited.joints) == 100
+    assert np.array_equal(edited.features[:20], long.features[100:120])
+    np.testing.assert_allclose(edited.joints[:20], long.joints[100:120], atol=1e-4)
+    assert cli.main(["export", "long.npz", "--part", "140:160", "--out", "part.npz"]) == 0
+    part = load_npz("part.npz")
+    assert np.array_equal(part.joints, long.joints[140:160])
+    assert np.array_equal(part.kept, long.kept[140:160])
+    for wrong in ("0:10,20:30", "prefix", "290:310", "5"):
+        fails(
+            capsys, ["export", "long.npz", "--part", wrong, "--out", "none.npz"], wrong.partition(",")[0].split(":")[0]
+        )
+
+
+def test_a_length_out_of_range_names_the_line_of_its_prompt(run, capsys):
+    make = ["generate", "--run", str(run), "--frames", "8", *FAST]
+    for name, text, line in (
+        ("p.csv", "text,frames\na man bows,\na person walks,500\n", 3),
+        ("p.csv", "text,seconds\na person walks,0.01\n", 2),
+        ("p.jsonl", '{"text": "a man bows"}\n\n{"text": "a person walks", "seconds": 60}\n', 3),
+        ("p.txt", "a man bows\na person walks#500\n", 2),
+    ):
+        Path(name).write_text(text)
+        fails(capsys, [*make, "--prompts", name, "--out", "m.npz"], f"{name}, line {line}: length ")
+    fails(
+        capsys, ["generate", "a", "--run", str(run), "--chain", "--seconds", "9999999", "--out", "m.npz"], "allowed: 1"
+    )
+    assert "--chain" not in capsys.readouterr().err
+
+
 def test_one_text_is_chained_to_itself_beyond_the_longest_motion(run, capsys):
     make = ["generate", "a person walks", "--run", str(run), "--seconds", "15", *FAST]
     fails(capsys, [*make, "--out", "long.npz"], "longer ones are made of parts (--chain")
@@ -255,7 +305,7 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_is_made(run, caps
         fails(capsys, words, "KINEMA_BLENDER_PYTHON=nowhere/python does not run")
 
 
-def test_joints_can_be_edited(run):
+def test_joints_can_be_edited(run, capsys):
     from kinema.data.synthetic import synthetic_clips
 
     joints = next(iter(synthetic_clips(size=1, seed=0))).joints()[:61]
@@ -264,6 +314,12 @@ def test_joints_can_be_edited(run):
     assert cli.main([*change, "--regenerate", "suffix", "--out", "edited.npz"]) == 0
     edited = load_npz("edited.npz")
     assert edited.joints.shape == (61, HUMANML3D.num_joints, 3)
+    capsys.readouterr()
+    np.save("captured.npy", 1.2 * joints.astype(np.float32))
+    assert cli.main([*change, "--keep", "prefix", "--out", "edited.npz"]) == 0
+    told = re.search(r"note      kept joints get humanml3d's bones: up to (\d+) cm", capsys.readouterr().out)
+    moved = np.linalg.norm(load_npz("edited.npz").joints[:30] - 1.2 * joints[:30], axis=-1).max()
+    assert 1 < 100 * moved <= int(told[1]) + 1
 
 
 @pytest.mark.parametrize("option", ["--keep", "--regenerate"])

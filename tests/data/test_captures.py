@@ -113,6 +113,18 @@ def test_takes_that_cannot_be_read_and_cuts_beyond_an_end_are_left_out_with_the_
     assert f"c.bvh ends after {SECONDS:.1f} s" in capsys.readouterr().out
 
 
+def test_takes_that_cannot_be_read_count_among_those_that_are_refused(folder, tmp_path, capsys):
+    whole = len(read_captures(folder))
+    for number in range(whole):
+        (folder / f"broken{number}.bvh").write_text(swaying(7)[:900])
+    words = ["prepare", str(folder), "--format", "bvh", "--out", str(tmp_path / "store"), "--processes", "1"]
+    assert cli.main(words) == 2
+    told = capsys.readouterr().err
+    assert f"{whole} of {2 * whole} clips are unusable, more than the allowed share 0.2" in told
+    assert "--set max_unusable=SHARE" in told
+    assert cli.main([*words, "--set", "max_unusable=0.5"]) == 0
+
+
 def test_another_table_is_another_corpus(folder, tmp_path):
     def asked(*rows: str) -> str:
         options = {"captions": table(folder, *rows)}

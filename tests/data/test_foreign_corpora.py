@@ -98,7 +98,7 @@ def test_many_bad_clips_stop_with_the_reason_and_the_fix(folder, tmp_path, kind)
     for file in files(folder)[:10]:
         ONE_BAD[kind](file, np.load(file))
     with pytest.raises(
-        ValueError, match=r"10 of 30 clips are unusable, more than .* 0\.2: 10 clips .*raise max_unusable"
+        ValueError, match=r"10 of 30 clips are unusable, more than .* 0\.2: 10 clips .*--set max_unusable="
     ):
         prepare(read_joints_folder(folder), tmp_path / "store", name="x")
     assert not (tmp_path / "store").exists()

@@ -79,7 +79,7 @@ def test_unusable_clips_are_left_out_with_the_reason(joints_corpus, tmp_path):
     np.save(root / "joints" / "one.npy", broken[:1])
     np.save(root / "joints" / "pickled.npy", np.array([{"code": 1}]), allow_pickle=True)
     with pytest.raises(
-        ValueError, match=r"5 of 6 clips are unusable, more than the allowed share 0\.2.*raise max_unusable"
+        ValueError, match=r"5 of 6 clips are unusable, more than the allowed share 0\.2.*--set max_unusable="
     ):
         prepare_store("joints", root, tmp_path / "out", name="x")
     store = PackedStore.open(prepare_store("joints", root, tmp_path / "out", name="x", max_unusable=0.9))

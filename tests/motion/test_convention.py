@@ -153,6 +153,7 @@ def test_a_named_order_has_every_joint_once(order, skeleton):
         ({"scale": "cm"}, "scale='cm'"),
         ({"scale": True}, "scale=True"),
         ({"fps": 0}, "fps=0"),
+        ({"fps": 1e-9}, "fps=1e-09; motion has from 0.1 to 10000 frames a second"),
         ({"fps": "60"}, "fps='60'"),
         ({"fps": [60]}, r"fps=\[60\]"),
         ({"order": "limb"}, "it lacks pelvis"),

@@ -10,6 +10,7 @@ import pytest
 from kinema import cli
 from kinema.data.synthetic import synthetic_catalog
 from kinema.motion.captures.bvh import read_bvh
+from kinema.motion.export import save
 from kinema.motion.formats.arrays import load_npz
 
 
@@ -42,6 +43,16 @@ def test_a_bvh_in_metres_is_a_hundredth_of_one_in_centimetres(walk, tmp_path):
 def test_every_format_is_written(suffix, walk, tmp_path):
     assert cli.main(["export", str(walk), "--out", str(tmp_path / f"a{suffix}")]) == 0
     assert (tmp_path / f"a{suffix}").stat().st_size > 5000
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".vrma", ".bvh", ".amass.npz"])
+def test_no_rotation_leads_to_nan(suffix, walk, tmp_path):
+    assert cli.main(["export", str(walk), "--out", str(tmp_path / "own.npz")]) == 0
+    broken = load_npz(tmp_path / "own.npz")
+    broken.joints[3, 5] = np.nan
+    with pytest.raises(ValueError, match=r"1 of \d+ frames hold NaN or infinity"):
+        save(broken, tmp_path / f"a{suffix}")
+    assert not (tmp_path / f"a{suffix}").exists()
 
 
 def test_held_feet_are_told_and_stand_where_the_capture_stood(walk, tmp_path, capsys):

@@ -195,6 +195,11 @@ def test_a_damaged_card_in_the_cache_hides_no_other_model(packed, tmp_path, monk
     assert "a/b is left out" in said.err
 
 
+def test_a_model_that_is_nowhere_is_said_to_be(capsys):
+    assert cli.main(["models", "nope"]) == 2
+    assert "nope is no model at hand; `kinema models` lists" in capsys.readouterr().err
+
+
 def test_a_card_writes_no_lines_of_its_own(packed, capsys):
     card = json.loads((packed / "card.json").read_text())
     (packed / "card.json").write_text(json.dumps(card | {"citation": "A.\nlicence   MIT"}))

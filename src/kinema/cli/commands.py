@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from kinema.cli.control import chained, follow_path, hold_frames, take_along, tell_seams
+from kinema.cli.control import chained, follow_path, hold_frames, take_along, tell_seams, tell_strayed
 from kinema.cli.convention import told
-from kinema.cli.exporting import stand
+from kinema.cli.exporting import read_part, stand
 from kinema.cli.takes import Batch, check_made
 from kinema.data import doctor as examine
 from kinema.data.captures import SUFFIXES
@@ -25,17 +25,16 @@ from kinema.experiments.corpus import open_corpus
 from kinema.experiments.listing import Listed
 from kinema.interop.runs import LINKS, import_run
 from kinema.motion import export
-from kinema.motion.recording import read_recording
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.arguments import BATCH, frame_counts
+from kinema.pipeline.arguments import BATCH, PARTS, frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import is_template
-from kinema.pipeline.requests import Take, takes_of
+from kinema.pipeline.requests import Take, frames_of, takes_of
 from kinema.report.index import write_site
 from kinema.runs import weights
 from kinema.runs.console import printable
@@ -92,7 +91,7 @@ def _lengths(model: TextToMotion, asked: list[Take], options: argparse.Namespace
     """Return the frames of each motion: a prompt's own, else those of the command line; None is the model's to say."""
     fps = model.skeleton.fps
     (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
-    return model.lengths([take.frames(usual, fps) for take in asked], None, len(asked))
+    return model.lengths(frames_of(asked, usual, fps=fps, maximum=model.max_frames, fix=PARTS), None, len(asked))
 
 
 def edit(options: argparse.Namespace) -> None:
@@ -113,9 +112,11 @@ def edit(options: argparse.Namespace) -> None:
     model = _model(options)
     model.changed_sampling(options.set)
     export.check(options.out, model.skeleton)
-    recording = read_recording(options.motion, told(options))
+    recording = read_part(options)
     motion = recording.motion(model.skeleton, model.tokenizer.representation.width)
     print(f"read {recording.path}: {recording.note}")
+    if anew:
+        tell_strayed(motion, model.skeleton)
     if options.path is not None:
         motion = take_along(motion, options.path)
     made = [motion]
@@ -126,7 +127,7 @@ def edit(options: argparse.Namespace) -> None:
     made = stand(made) if options.lock_feet else made
     _write(made, files)
     if (kept := made[0].kept) is not None:
-        print(_stayed(made[0], kept, model.skeleton))
+        print(_stayed(made[0], kept, model.skeleton, " (but for feet that were held)" if options.lock_feet else ""))
 
 
 def _edited(model: TextToMotion, motion: Motion, given: str | None, options: argparse.Namespace) -> list[Motion]:
@@ -258,11 +259,12 @@ def _files(out: str, count: int) -> list[Path]:
     return [path.with_name(f"{path.name.removesuffix(ending)}-{i}{ending}") for i in range(1, count + 1)]
 
 
-def _stayed(motion: Motion, kept: np.ndarray, skeleton: Skeleton) -> str:
+def _stayed(motion: Motion, kept: np.ndarray, skeleton: Skeleton, but: str) -> str:
     """Say which frames an edit kept, and how far a joint moves where the new ones begin or end."""
     inside = np.pad(kept, 1)
     borders = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
-    said = f"kept frames {', '.join(f'{start}:{end}' for start, end in borders)}" if len(borders) else "kept no frame"
+    ranges = ", ".join(f"{start}:{end}" for start, end in borders)
+    said = f"kept frames {ranges}{but}" if ranges else "kept no frame"
     seam = largest_seam(motion)
     return said if seam is None else f"{said}; largest step at a seam {seam[1]:.3g} {skeleton.unit} (frame {seam[0]})"
 

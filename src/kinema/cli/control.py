@@ -11,16 +11,19 @@ from kinema.motion.waypoints import Waypoints, read_waypoints
 from kinema.pipeline import TextToMotion
 from kinema.pipeline.arguments import frame_counts
 from kinema.pipeline.chaining import TRANSITION, shared_out
-from kinema.pipeline.editing import parse_frames
+from kinema.pipeline.editing import parse_frames, strayed
 from kinema.pipeline.following import Followed, carried, follow
 from kinema.pipeline.holding import hold
-from kinema.pipeline.requests import Take
+from kinema.pipeline.requests import Take, frames_of
 from kinema.types import Motion
 
 LONGEST = 20000
 """Frames that a chained motion may have."""
 FASTEST = 12.5
 """Metres per second that a person runs at most: a way that is faster has other units or columns."""
+
+NOTED = 1.0
+"""Centimetres of a kept joint that are said."""
 
 
 def hold_frames(model: TextToMotion, motion: Motion, options: argparse.Namespace) -> Motion:
@@ -92,8 +95,8 @@ def _tell_path(way: Waypoints, made: Followed) -> None:
 def chained(model: TextToMotion, asked: list[Take], options: argparse.Namespace) -> Motion:
     """Join texts to one motion; one that is to be longer than the model's longest motion is shared out to parts."""
     fps, texts = model.skeleton.fps, [take.prompt.text for take in asked]
-    (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=LONGEST)
-    counts = frame_counts([take.frames(usual, fps) for take in asked], None, len(asked), fps=fps, maximum=LONGEST)
+    (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=LONGEST, fix="")
+    counts = frames_of(asked, usual, fps=fps, maximum=LONGEST, fix="")
     parts: list[tuple[str, int | None]] = []
     for text, count in zip(texts, counts, strict=True):
         space, most = model.generator.space, model.max_frames
@@ -104,6 +107,13 @@ def chained(model: TextToMotion, asked: list[Take], options: argparse.Namespace)
     said, sizes = [text for text, _ in parts], [share for _, share in parts]
     made = model.chain(said, sizes, transition=TRANSITION, seed=options.seed, **options.set)
     return replace(made, text="; ".join(texts))
+
+
+def tell_strayed(motion: Motion, skeleton: Skeleton) -> None:
+    """Say how far an edit will move what it keeps of a body with bones of its own."""
+    centimetres = 100 * skeleton.meters * strayed(motion, skeleton)
+    if centimetres >= NOTED:
+        print(f"note      kept joints get {skeleton.name}'s bones: up to {centimetres:.0f} cm from the file's places")
 
 
 def tell_seams(motion: Motion, skeleton: Skeleton) -> None:

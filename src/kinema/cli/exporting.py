@@ -10,10 +10,11 @@ from kinema.cli.convention import told
 from kinema.motion import export as write
 from kinema.motion.captures.capture import Capture
 from kinema.motion.cleaning import Held, described, floor_of
-from kinema.motion.recording import read_recording
+from kinema.motion.recording import Recording, read_recording
 from kinema.motion.rig.changes import Changes, Degrees, FrameRate
 from kinema.motion.skeleton import get_skeleton
 from kinema.options import check_value
+from kinema.pipeline.editing import TASKS, parse_ranges
 from kinema.types import Motion
 
 
@@ -22,7 +23,7 @@ def export(options: argparse.Namespace) -> None:
     for option, value, kind in (("--rate", options.rate, FrameRate), ("--facing", options.facing, Degrees)):
         if value is not None:
             check_value(value, kind, option)
-    recording = read_recording(options.motion, told(options))
+    recording = read_part(options)
     print(f"read {recording.path}: {recording.note}")
     skeleton = recording.skeleton
     changes = Changes(options.rate, options.in_place, options.facing, options.loop, options.z_up, options.unit)
@@ -34,6 +35,18 @@ def export(options: argparse.Namespace) -> None:
     path = write.save(motion, options.out, changes)
     rigged = write.RIGGED.get(write.format_of(path))
     print(f"wrote {path}{'' if rigged is None else _fit(motion, rigged.fit(motion))}")
+
+
+def read_part(options: argparse.Namespace) -> Recording:
+    """Read the motion that is named, or the part of it that is asked for."""
+    recording = read_recording(options.motion, told(options))
+    if options.part is None:
+        return recording
+    size = len(recording.joints)
+    ranges = parse_ranges(options.part, size, recording.skeleton.fps)
+    if len(ranges) != 1 or options.part in TASKS:
+        raise ValueError(f"--part {options.part} is no single START:END; give one, in frames of {size} or seconds")
+    return recording.part(*ranges[0])
 
 
 def stand(motions: list[Motion], floor: float | None = None) -> list[Motion]:

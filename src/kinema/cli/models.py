@@ -28,7 +28,10 @@ def pack(options: argparse.Namespace) -> None:
 def models(options: argparse.Namespace) -> None:
     """List the models at hand, or say what one is and knows."""
     if options.name is not None:
-        print(printable(_described(Found(options.name, find_model(options.name)))))
+        folder = find_model(options.name)
+        if not folder.exists():
+            raise FileNotFoundError(f"{options.name} is no model at hand; `kinema models` lists those there are")
+        print(printable(_described(Found(options.name, folder))))
         return
     rows = [("model", "method", "corpus", "size", "licence", "where")]
     for where, found in (("this package", shipped()), ("hub cache", cached())):

@@ -50,9 +50,10 @@ RANGE_HELP = (
     "named by what stays: prefix keeps the first half, suffix the second half, inbetween both end quarters, outpaint "
     "the middle half"
 )
-REGENERATE_HELP = f"what becomes new; everything else stays bit by bit. {RANGE_HELP}"
+BONES_HELP = "bit by bit (joints of a body with other bones are brought to the skeleton's first; how far is said)"
+REGENERATE_HELP = f"what becomes new; everything else stays {BONES_HELP}. {RANGE_HELP}"
 KEEP_HELP = (
-    f"what stays bit by bit; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
+    f"what stays {BONES_HELP}; everything else becomes new. {RANGE_HELP}. A stretch that fills no latent (often 4 "
     "frames) is widened to those it touches; what stays behind new frames moves on from where they end"
 )
 HOLD_HELP = (
@@ -75,6 +76,7 @@ PROMPTS_HELP = (
 )
 BATCH_HELP = "motions generated at once (default: 32); 1 gives the bits that a motion has alone"
 READ_HELP = "file of motion: .npz that kinema wrote, joints (T, J, 3) or features as .npy, .bvh, .amc, our .amass.npz"
+PART_HELP = "take these frames of it alone, 20:216 or 1s:10s, at the rate of the skeleton; an empty end is its own"
 OUT_HELP = (
     f"file to write: {MOTIONS}; several motions are numbered, or named by a template, with a manifest.jsonl beside: "
     "'motions/{index:03d}-{slug}-{seed}.bvh', of index, slug (of the text), seed, take, name"
@@ -116,6 +118,7 @@ def command_line() -> argparse.ArgumentParser:
     make.add_argument("--path", metavar="FILE", help=PATH_HELP)
     change = add("edit", "regenerate a part of a motion to a text")
     change.add_argument("--motion", required=True, help=READ_HELP)
+    change.add_argument("--part", metavar="START:END", help=PART_HELP)
     change.add_argument("--text", help="what the person does in what becomes new")
     change.add_argument("--path", metavar="FILE", help=ALONG_HELP)
     which = change.add_mutually_exclusive_group()
@@ -133,7 +136,7 @@ def command_line() -> argparse.ArgumentParser:
         one.add_argument("--seed", type=int, help="the same seed gives the same motion; drawn and printed if left out")
         one.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
         one.add_argument("--device", help="cpu, cuda, mps; the best there is if left out")
-        _add_settings(one, "sampling field, e.g. guidance=2.5 or steps=10")
+        _add_settings(one, "sampling field, e.g. guidance=2.5 or solver_steps=10")
     _add_convention(change)
     read = add("import", "turn a published checkpoint into a run folder", "import_checkpoint")
     read.add_argument("kind", choices=KINDS)
@@ -233,6 +236,7 @@ def _add_export(parser: argparse.ArgumentParser) -> None:
     """Add what a motion may be changed by on its way out."""
     parser.add_argument("motion", help=READ_HELP)
     parser.add_argument("--out", required=True, help=f"file to write: {MOTIONS}")
+    parser.add_argument("--part", metavar="START:END", help=PART_HELP)
     parser.add_argument("--lock-feet", action="store_true", help=FEET_HELP)
     rigs = parser.add_argument_group("changes of .bvh, .glb, .vrma, .fbx and .amass.npz", "formats of rotations")
     rigs.add_argument("--rate", type=float, metavar="FPS", help="frames per second to write (turns are interpolated)")

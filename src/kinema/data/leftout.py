@@ -29,7 +29,8 @@ def check_share(name: str, dropped: Sequence[Dropped], clips: int, most: float) 
     none = "has no usable clip: " if len(unusable) == clips else ""
     raise ValueError(
         f"corpus {name!r} {none}{len(unusable)} of {clips} clips are unusable, more than the allowed share {most:g}: "
-        f"{', '.join(told)}; mend them, take them off the lists or raise max_unusable"
+        f"{', '.join(told)}; mend them, unlist them or allow more (kinema prepare --set max_unusable=SHARE, "
+        "or +data.options.max_unusable=SHARE)"
     )
 
 

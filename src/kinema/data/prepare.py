@@ -198,7 +198,8 @@ def _write(
             if len(made) == 2:
                 captions = [caption.mirrored() for caption in clip.captions]
                 writer.add(replace(clip, name=f"M{clip.name}", captions=captions, mirrored=True), made[1])
-        check_share(writer.name, writer.dropped, len(catalog), max_unusable)
+        unread = sum(dropped.what == "clip" for dropped in catalog.dropped)  # by the reader: no clips of the catalog
+        check_share(writer.name, writer.dropped, len(catalog) + unread, max_unusable)
         return writer.finish(catalog.statistics, options)
     except OSError as error:
         if error.errno != errno.ENOSPC:

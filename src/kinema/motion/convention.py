@@ -12,6 +12,8 @@ from kinema.motion.resampling import resampled
 from kinema.motion.shapes import as_joints
 from kinema.motion.skeleton import Skeleton
 
+SLOWEST, FASTEST = 0.1, 10_000
+"""Frames a second that motion may have."""
 AXES = {
     "x": ((1, -1), (0, 1), (2, 1)),
     "y": ((0, 1), (1, 1), (2, 1)),
@@ -56,6 +58,8 @@ class Convention:
                 continue
             if isinstance(number, bool) or not isinstance(number, int | float) or not 0 < number < np.inf:
                 raise ValueError(f"{name}={number!r}; it must be a positive number")
+        if self.fps is not None and not SLOWEST <= self.fps <= FASTEST:
+            raise ValueError(f"fps={self.fps!r}; motion has from {SLOWEST} to {FASTEST} frames a second")
 
     def of_arrays(self) -> dict[str, Any]:
         """Return what can be told of arrays of joints; raises ValueError for what only captures have."""

@@ -93,6 +93,10 @@ class Rigged:
     def fit(self, motion: Motion) -> Capture:
         """Fit rotations to a motion's joints, in metres."""
         skeleton = get_skeleton(motion.skeleton)
+        if broken := int((~np.isfinite(motion.joints)).any((1, 2)).sum()):
+            raise ValueError(
+                f"{broken} of {len(motion.joints)} frames hold NaN or infinity, which no rotation leads to"
+            )
         return fit_rig(np.asarray(motion.joints) * skeleton.meters, self.rest(skeleton), motion.fps)
 
     def write(self, motion: Motion, path: Path, changes: Changes) -> None:

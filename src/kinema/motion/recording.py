@@ -52,6 +52,15 @@ class Recording:
         """Check the joints."""
         return check_clip(self.joints, self.skeleton, self.skeleton.fps, self.convention)
 
+    def part(self, first: int, end: int) -> Recording:
+        """Cut out the frames from `first` to before `end`, at the skeleton's rate."""
+        piece = slice(first, end)
+        rows = None if self.features is None else self.features[piece]
+        kept = None if self.ours is None or self.ours.kept is None else self.ours.kept[piece]
+        ours = None if self.ours is None else replace(self.ours, kept=kept)
+        note = f"{self.note}; frames {first}:{end} of {len(self.joints)}"
+        return replace(self, joints=self.joints[piece], features=rows, ours=ours, note=note)
+
     def motion(self, skeleton: Skeleton, width: int) -> Motion:
         """Return it with a row of `width` columns for each frame; joints stay where they are.
 

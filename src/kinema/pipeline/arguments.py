@@ -17,8 +17,17 @@ BATCH = 32
 """Motions that are generated at once, unless another number is asked for."""
 
 
-def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: int) -> list[int | None]:
-    """Return the frames of each of `size` samples from one value or one per sample; None where none are asked for."""
+PARTS = "; longer ones are made of parts (--chain, TextToMotion.chain)"
+"""What to do about a motion that is to be longer than a model's longest."""
+
+
+def frame_counts(
+    frames: Any, seconds: Any, size: int, *, fps: float, maximum: int, fix: str = PARTS
+) -> list[int | None]:
+    """Return the frames of each of `size` samples from one value or one per sample; None where none are asked for.
+
+    Raises ValueError for a length out of range; `fix` is told of one that is too long.
+    """
     if frames is not None and seconds is not None:
         raise ValueError(f"got frames={frames} and seconds={seconds}; give one of them")
     name, kind, given = ("frames", int, frames) if seconds is None else ("seconds", float, seconds)
@@ -31,15 +40,15 @@ def frame_counts(frames: Any, seconds: Any, size: int, *, fps: float, maximum: i
     counts = [value if value is None or seconds is None else round(value * fps) for value in asked]
     for count in counts:
         if count is not None:
-            check_length(count, maximum, fps, "; longer ones are made of parts (--chain, TextToMotion.chain)")
+            check_length(count, maximum, fps, fix)
     return counts
 
 
-def check_length(count: int, maximum: int, fps: float, fix: str = "") -> None:
-    """Refuse a length that training never saw; `fix` is told of a longer one."""
+def check_length(count: int, maximum: int, fps: float, fix: str = "", where: str = "") -> None:
+    """Refuse a length that training never saw; `fix` is told of a longer one, `where` said in front."""
     if not 1 <= count <= maximum:
         raise ValueError(
-            f"length {count} is out of range; allowed: 1 to {maximum} frames "
+            f"{where}length {count} is out of range; allowed: 1 to {maximum} frames "
             f"({maximum / fps:g} seconds at {fps:g} frames per second){fix if count > maximum else ''}"
         )
 
@@ -89,4 +98,4 @@ def check_sources(motions: Sequence[Motion], representation: Representation, max
             )
         if not np.isfinite(motion.features).all():
             raise ValueError(f"motion {i} holds NaN or infinite features; repair it before editing")
-        check_length(len(motion.features), maximum, skeleton.fps)
+        check_length(len(motion.features), maximum, skeleton.fps, f"; cut a part of it out (--part 0:{maximum})")

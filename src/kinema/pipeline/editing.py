@@ -198,6 +198,16 @@ def in_place(made: Motion, source: Motion, skeleton: Skeleton) -> Motion:
     return replace(made, joints=Placement.between(rows, source.joints, skeleton).apply(made.joints))
 
 
+def strayed(motion: Motion, skeleton: Skeleton) -> float:
+    """Return how far a joint of a motion's rows lies from where the motion has it, at most, in the skeleton's unit.
+
+    An edit keeps rows: those that were extracted from another body's joints have the bones of the skeleton.
+    """
+    rows = recover_joints(torch.from_numpy(motion.features), skeleton).numpy()
+    placed = Placement.between(rows, motion.joints, skeleton).apply(rows)
+    return float(np.linalg.norm(placed - motion.joints, axis=-1).max())
+
+
 def largest_seam(motion: Motion) -> tuple[int, float] | None:
     """Return the frame between kept and new motion into which a joint moves farthest, and how far; None: no seam."""
     if motion.kept is None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kinema.options import Count, check_value
+from kinema.pipeline.arguments import check_length
 from kinema.seeds import request_seeds
 from kinema.text.prompts import Prompt
 
@@ -27,6 +28,16 @@ class Take:
         if self.prompt.seconds is not None:
             return round(self.prompt.seconds * fps)
         return usual if self.prompt.frames is None else self.prompt.frames
+
+
+def frames_of(asked: Sequence[Take], usual: int | None, *, fps: float, maximum: int, fix: str) -> list[int | None]:
+    """Return the frames of each take; None is the model's to say. Raises ValueError naming the prompt's line."""
+    counts = [take.frames(usual, fps) for take in asked]
+    for take, count in zip(asked, counts, strict=True):
+        where = take.prompt.where
+        if count is not None:
+            check_length(count, maximum, fps, fix, "" if where is None else f"{where}: ")
+    return counts
 
 
 def takes_of(prompts: Sequence[Prompt], *, count: int = 1, seed: int | None = None) -> list[Take]:

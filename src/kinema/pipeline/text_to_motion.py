@@ -253,7 +253,7 @@ class TextToMotion(Portable):
                 if paste:
                     batch = self.tokenizer.described(batch, whole.features, keep)
                     batch = put_back(batch, whole.features, keep, self.skeleton, blend)
-                edited += self._motions(batch, texts[part], seeds[part], keep)
+                edited += self._motions(batch, texts[part], seeds[part], keep if paste else None)
         return [in_place(made, source, self.skeleton) for made, source in zip(edited, motions, strict=True)]
 
     def _known(self, whole: MotionBatch, sizes: Tensor, ranges: list[Ranges], part: str | None) -> tuple[Tensor, Known]:

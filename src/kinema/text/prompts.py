@@ -7,7 +7,7 @@ import io
 import json
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,7 +26,7 @@ class Prompt:
     """Hold what motions are made of: a text, and what was said of them (None: not said).
 
     `frames` or `seconds` is their length, `count` how many are made, `seed` that of the first, `name` stands in files'
-    names, `entry` is the line of a manifest that it was read from.
+    names, `entry` is the line of a manifest that it was read from, `where` says in which line of a file it stands.
     """
 
     text: str
@@ -36,6 +36,7 @@ class Prompt:
     seed: int | None = None
     name: str | None = None
     entry: Entry | None = None
+    where: str | None = field(default=None, compare=False)
 
 
 RULES: dict[str, Any] = {"text": str, "frames": Count, "seconds": Positive, "count": Count, "seed": Seed, "name": Name}
@@ -76,7 +77,7 @@ def _from_text(path: Path, lines: list[Line]) -> Iterator[Prompt]:
         if line.text.strip():
             if line.text.lstrip().startswith("#"):
                 raise ValueError(f"{path}, line {line.number}: {line.text.strip()!r} has no text before its `#`")
-            yield parse_prompt(line.text)
+            yield replace(parse_prompt(line.text), where=f"{path}, line {line.number}")
 
 
 def _from_csv(path: Path, lines: list[Line]) -> Iterator[Prompt]:
@@ -125,7 +126,7 @@ def _again(entry: Entry, where: str) -> Prompt:
         if value is not None:
             check_value(value, RULES[key], f"{where}: {key}")
     frames = entry.frames if entry.length == "asked" else None
-    return Prompt(entry.text, frames, seed=entry.seed, name=entry.name, entry=entry)
+    return Prompt(entry.text, frames, seed=entry.seed, name=entry.name, entry=entry, where=where)
 
 
 def _known(names: list[str], where: str) -> list[str]:
@@ -149,7 +150,7 @@ def _prompt(row: dict[str, Any], where: str) -> Prompt:
         check_value(value, RULES[key], f"{where}: {key}")
     if {"frames", "seconds"} <= set(said):
         raise ValueError(f"{where}: frames={said['frames']} and seconds={said['seconds']}; give one of them")
-    return Prompt(**{**said, "text": said["text"].strip()})
+    return Prompt(**{**said, "text": said["text"].strip()}, where=where)
 
 
 def _number(cell: str) -> Any:

@@ -96,6 +96,47 @@ def test_a_rest_pose_in_front_is_left_out_and_said(write):
     assert "2 frames of a rest pose left out" in str(understood)
 
 
+def test_a_rest_pose_that_no_leap_ends_is_kept_and_said(write):
+    moving = np.arange(12)[:, None, None] * np.ones((1, 22, 3))  # two frames of nothing, and as much a frame after them
+    path = write("a.bvh", bvh_text(np.concatenate([np.zeros((1, 22, 3)), moving]), interval=0.05))
+    joints, understood = captured_joints(read_capture(path), path, up="y")
+    assert len(joints) == 13
+    assert "the first 2 frames are without rotations, a rest pose perhaps, and were kept" in str(understood)
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0])
+def test_a_body_whose_root_stands_in_its_offset_and_its_channels_stays_on_the_floor(unit, write):
+    """Blender writes the hips' rest place as OFFSET and where they are into the channels."""
+    text, height = bvh_text(ANGLES, scale=unit, interval=0.05), -(HUMANML3D.ancestry[10] @ REST)[1]
+    lifted = text.replace(*spelled(height * unit), 1)
+    assert lifted != text
+    path = write("a.bvh", lifted)
+    joints, understood = captured_joints(read_capture(path), path, up="y", scale=1 / unit)
+    np.testing.assert_allclose(joints, expected(ANGLES), atol=1e-5)
+    assert "the root's OFFSET, which would lift the body off the floor" in str(understood)
+    # One whose channels start at the rest pose has its height from the OFFSET.
+    below = np.tile([0, (1 - height) * unit, 0], (12, 1))
+    path = write("b.bvh", bvh_text(ANGLES, scale=unit, interval=0.05, root=below).replace(*spelled(height * unit), 1))
+    joints, understood = captured_joints(read_capture(path), path, up="y", scale=1 / unit)
+    np.testing.assert_allclose(joints, expected(ANGLES), atol=1e-5)
+    assert not understood.notes
+
+
+def spelled(height: float) -> tuple[str, str]:
+    return "OFFSET 0.000000 0.000000 0.000000", f"OFFSET 0 {height:.6f} 0"
+
+
+@pytest.mark.parametrize(
+    ("theirs", "ours"),
+    [("End Site", "End site"), ("End Site", "END SITE"), ("Frames: 12", "Frames:12"), ("Frame Time: ", "Frame Time:")],
+)
+def test_what_programs_spell_otherwise_is_read(theirs, ours, write):
+    usual, other = bvh_text(ANGLES), bvh_text(ANGLES).replace(theirs, ours)
+    assert usual != other
+    found = [read_bvh(write(f"{i}.bvh", text)).positions for i, text in enumerate((usual, other))]
+    np.testing.assert_array_equal(*found)
+
+
 def test_a_turn_is_resampled_along_its_arc(write):
     angles = np.zeros((31, 22, 3))
     angles[:, 0, 0] = np.arange(31) * 40.0  # degrees about Z a frame at 30 fps
@@ -136,6 +177,7 @@ BROKEN = {
     "another file": ("<html>", "is no BVH file"),
     "nothing": ("", "is no BVH file"),
     "binary": ("\0\1\2", "is a binary file"),
+    "no end of nesting": ("HIERARCHY ROOT a {" + "JOINT b {" * 3000 + "MOTION", "nests more than 200 joints"),
     "unknown joints": (GOOD.replace("L_Hip", "Tentacle"), "needs L_Hip too"),
     "a giant": (bvh_text(ANGLES, scale=7), "no human"),
 }

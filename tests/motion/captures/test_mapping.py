@@ -20,6 +20,18 @@ def test_a_skeleton_is_recognised_by_its_joints_whatever_stands_before_them(name
     assert find_mapping(("other", *(f"rig:{s.upper()}" for s in sources)), Path("a.bvh")) is KNOWN[name]
 
 
+@pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig1:", "mixamorig_", "mixamorig", "Armature|mixamorig4:"])
+def test_mixamos_prefix_is_left_out_however_it_was_carried_over(prefix):
+    sources = {source for weights in KNOWN["mixamo"].joints.values() for source in weights}
+    assert find_mapping(tuple(f"{prefix}{source}" for source in sorted(sources)), Path("a.bvh")) is KNOWN["mixamo"]
+
+
+def test_the_nearest_skeleton_lacks_the_smallest_share_of_its_joints():
+    sources = sorted({source for weights in KNOWN["mixamo"].joints.values() for source in weights} - {"Spine2"})
+    with pytest.raises(ValueError, match="nearest is mixamo, which needs Spine2 too"):
+        find_mapping(tuple(sources), Path("a.bvh"))
+
+
 @pytest.mark.parametrize("name", KNOWN)
 def test_left_and_right_are_each_others_mirror_image(name):
     def side(joint: str) -> str:

@@ -1,13 +1,16 @@
 """Read BVH files: a hierarchy of joints with channels, then one line of numbers a frame.
 
 Any channel order; position channels on any joint (many files have six everywhere): for the root they are added to
-its OFFSET, elsewhere they replace it (OPEN_MOCAP). An End Site becomes the joint `<parent>_end`.
+its OFFSET, elsewhere they replace it (OPEN_MOCAP). Programs that write the root's place twice, as the OFFSET of a rest
+pose that stands on the floor and in its channels (Blender), are told by the body that would float. An End Site becomes
+the joint `<parent>_end`.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,8 @@ from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.text import numbers, read_text
 from kinema.motion.captures.turning import euler
 
+DEEPEST = 200
+"""Joints in a line from the root to a tip that a hierarchy may have."""
 CHANNELS = {f"{axis}{kind}": (kind, axis) for axis in "xyz" for kind in ("position", "rotation")}
 
 
@@ -49,7 +54,27 @@ def read_bvh(path: str | Path) -> Capture:
         if turns:
             rotations[:, index] = euler("".join(kinds[i][1] for i in turns), own[:, turns], degrees=True)
     names, parents = tuple(joint.name for joint in joints), tuple(joint.parent for joint in joints)
-    return Capture(names, parents, rotations, translations, rest, fps)
+    capture = Capture(names, parents, rotations, translations, rest, fps)
+    return _grounded(capture) if _floats(capture, joints[0].channels) else capture
+
+
+def _floats(capture: Capture, channels: list[str]) -> bool:
+    """Say whether the root's OFFSET counts twice: the rest pose stands on the floor with it, the motion far above."""
+    for kind, axis in map(CHANNELS.__getitem__, channels):
+        at = "xyz".index(axis)
+        up, height = np.sign(capture.rest[0, at]), abs(capture.rest[0, at])
+        if kind == "position" and height:
+            rest, motion = (float((up * where[..., at]).min()) for where in (capture.rest_positions, capture.positions))
+            if abs(rest) < height / 4 and motion > height / 2:
+                return True
+    return False
+
+
+def _grounded(capture: Capture) -> Capture:
+    translations = capture.translations.copy()
+    translations[:, 0] -= capture.rest[0]
+    note = "the root's OFFSET, which would lift the body off the floor, taken for its place in the rest pose alone"
+    return replace(capture, translations=translations, note=note)
 
 
 def _move(
@@ -73,7 +98,7 @@ class _Hierarchy:
         self.path, self.joints = path, list[_Joint]()
         self.tokens = _tokens(text)
         self._expect("ROOT")
-        self._joint(self._name(), -1)
+        self._joint(self._name(), -1, 1)
         more = next(self.tokens, None)
         if more == "ROOT":
             raise self._wrong("has a second ROOT; write one file per body")
@@ -84,8 +109,10 @@ class _Hierarchy:
         if twice:
             raise self._wrong(f"names several joints {twice[0]!r}; give each its own name")
 
-    def _joint(self, name: str, parent: int) -> None:
+    def _joint(self, name: str, parent: int, depth: int) -> None:
         """Read what stands between a joint's braces, its children included."""
+        if depth > DEEPEST:
+            raise self._wrong(f"nests more than {DEEPEST} joints: it is no body")
         index = len(self.joints)
         self.joints.append(joint := _Joint(name, parent, [0.0, 0.0, 0.0], []))
         while (word := self._next(name)) != "}":
@@ -94,10 +121,10 @@ class _Hierarchy:
             elif word == "CHANNELS":
                 joint.channels = self._channels(name)
             elif word == "JOINT":
-                self._joint(self._name(), index)
-            elif word == "End":
+                self._joint(self._name(), index, depth + 1)
+            elif word.lower() == "end":
                 self._name()
-                self._joint(f"{name}_end", index)
+                self._joint(f"{name}_end", index, depth + 1)
             else:
                 raise self._wrong(f"has {word!r} in joint {name!r}; known: OFFSET, CHANNELS, JOINT, End Site")
 
@@ -148,13 +175,13 @@ def _tokens(text: str) -> Iterator[str]:
 
 def _motion(path: Path, text: str, width: int) -> tuple[Float[np.ndarray, "t c"], float]:
     """Read the frames (T, channels) and the rate."""
-    words = text.split(maxsplit=5)
-    if len(words) < 5 or words[0] != "Frames:" or words[2:4] != ["Frame", "Time:"]:
+    head = re.match(r"\s*Frames:\s*(\S+)\s+Frame\s+Time:\s*(\S+)", text)
+    if head is None:
         raise ValueError(f"{path} should have `Frames: N` and `Frame Time: seconds` after MOTION")
-    count, interval = numbers(path, [words[1], words[4]], "Frames and Frame Time")
+    count, interval = numbers(path, list(head.groups()), "Frames and Frame Time")
     if not 0.001 <= interval <= 1:
-        raise ValueError(f"{path} has Frame Time {words[4]}; expected seconds between frames, from .001 to 1")
-    values = numbers(path, words[5].split() if len(words) > 5 else [], "the motion")
+        raise ValueError(f"{path} has Frame Time {head[2]}; expected seconds between frames, from .001 to 1")
+    values = numbers(path, text[head.end() :].split(), "the motion")
     if count < 1 or not len(values):
         raise ValueError(f"{path} has no frames")
     if len(values) != count * width:

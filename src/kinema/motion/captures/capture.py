@@ -21,7 +21,8 @@ class Capture:
 
     `rotations` (T, J, 3, 3) turn a joint's children, in its parent's frame; `translations` (T, J, 3) lead from the
     parent to the joint, in the parent's frame too. `rest` (J, 3) are the translations of the pose without rotations.
-    `up` is the axis that the file itself says is up, "z" or "-x", ...; None: it says nothing.
+    `up` is the axis that the file itself says is up, "z" or "-x", ...; None: it says nothing. `note` says what had to
+    be decided to read the file.
     """
 
     names: tuple[str, ...]
@@ -31,6 +32,7 @@ class Capture:
     rest: Float[np.ndarray, "j 3"]
     fps: float
     up: str | None = None
+    note: str = ""
 
     @property
     def frames(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping as Dict
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,6 +17,7 @@ from kinema.files.yaml import read_yaml
 from kinema.motion.skeleton import HUMANML3D, Skeleton
 
 KNOWN = Path(__file__).with_name("mappings")
+PREFIX = re.compile(r"(?i)^(.*:|mixamorig\d*_?)")
 SHOWN = 12
 """Names of joints that a message lists at most."""
 
@@ -40,6 +42,10 @@ class JointMapping:
         wanted = {source for weights in self.joints.values() for source in weights}
         return sorted(source for source in wanted if not there.keys() & self._spellings(source))
 
+    def lacking_share(self, names: tuple[str, ...]) -> float:
+        """Return which share of its source joints a capture of these names doesn't have."""
+        return len(self.lacking(names)) / len({source for weights in self.joints.values() for source in weights})
+
     def weights(self, names: tuple[str, ...], skeleton: Skeleton) -> Float[np.ndarray, "j s"]:
         """Build the matrix that takes source positions to the skeleton's joints, rows summing to one."""
         there, matrix = _plain(names), np.zeros((skeleton.num_joints, len(names)))
@@ -54,8 +60,8 @@ class JointMapping:
 
 
 def _plain(names: tuple[str, ...]) -> dict[str, int]:
-    """Index names without a prefix (`mixamorig:Hips`), in small letters."""
-    return {name.rpartition(":")[2].lower(): i for i, name in reversed(list(enumerate(names)))}
+    """Index names without a prefix (`mixamorig:Hips`, `mixamorig_Hips`, `mixamorig1Hips`), in small letters."""
+    return {PREFIX.sub("", name).lower(): i for i, name in reversed(list(enumerate(names)))}
 
 
 @cache
@@ -70,7 +76,7 @@ def find_mapping(names: tuple[str, ...], source: Path) -> JointMapping:
     fitting = [mapping for mapping in known.values() if not mapping.lacking(names)]
     if fitting:
         return max(fitting, key=lambda mapping: len({s for w in mapping.joints.values() for s in w}))
-    nearest, mapping = min(known.items(), key=lambda item: len(item[1].lacking(names)))
+    nearest, mapping = min(known.items(), key=lambda item: item[1].lacking_share(names))
     lacking = mapping.lacking(names)
     more = ", ..." if len(names) > SHOWN else ""
     raise ValueError(

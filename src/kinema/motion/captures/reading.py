@@ -29,7 +29,10 @@ REFUSED = {
 
 @dataclass(frozen=True)
 class Understood:
-    """Say how a capture was read: which mapping, how many units a metre, which axis up, what was left out in front."""
+    """Say how a capture was read: which mapping, how many units a metre, which axis up, what was left out in front.
+
+    `notes` are what had to be decided on the way.
+    """
 
     mapping: str
     scale: float
@@ -38,12 +41,14 @@ class Understood:
     fps: float
     skipped: int
     height: float
+    notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """One line for people."""
         scale = f"{'guessed ' if self.guessed_scale else ''}scale {self.scale:.6g}"
         skipped = f", {self.skipped} frames of a rest pose left out" if self.skipped else ""
-        return f"{self.mapping}, {self.fps:g} fps, {self.up} up, {scale}: a body of {self.height:.2f} m{skipped}"
+        said = f"{self.mapping}, {self.fps:g} fps, {self.up} up, {scale}: a body of {self.height:.2f} m{skipped}"
+        return "; ".join((said, *self.notes))
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -92,16 +97,24 @@ def captured_joints(
     joints = Convention(up=found).apply(positions, skeleton) * factor
     height = body_height(joints, skeleton) * skeleton.meters
     guessed = scale is None and mapping.scale is None
-    return joints, Understood(mapping.title, factor, guessed, found, rate, skipped, height)
+    notes = [capture.note] if capture.note else []
+    if not skipped and (resting := _resting(capture)):
+        notes.append(f"the first {resting} frames are without rotations, a rest pose perhaps, and were kept")
+    return joints, Understood(mapping.title, factor, guessed, found, rate, skipped, height, tuple(notes))
 
 
 def _skipped(capture: Capture, mapping: JointMapping) -> int:
     """Count the frames of a rest pose in front: as the mapping says, or frames without rotations, then a leap."""
     if mapping.skip_frames:
         return mapping.skip_frames
-    still = np.isclose(capture.rotations, np.eye(3), atol=1e-6).all(axis=(1, 2, 3))
-    first = int(np.argmin(still))
-    if not still[0] or still.all():
+    first = _resting(capture)
+    if not first:
         return 0
     steps = np.abs(np.diff(capture.rotations[first - 1 :], axis=0)).max(axis=(1, 2, 3))
     return first if len(steps) < 2 or steps[0] > LEAP * steps[1 : 1 + NEXT].max() else 0
+
+
+def _resting(capture: Capture) -> int:
+    """Count the frames without rotations in front; none where all are."""
+    still = np.isclose(capture.rotations, np.eye(3), atol=1e-6).all(axis=(1, 2, 3))
+    return 0 if still.all() else int(np.argmin(still))
