@@ -15,7 +15,7 @@ from kinema.experiments.config import CONF, compose, plain, validate
 from kinema.experiments.sampling import build_sampling
 from kinema.experiments.stages import get_stage, stages
 from kinema.experiments.stages.fitted import FittedStage
-from kinema.experiments.tables import load_table
+from kinema.experiments.table_files import load_table
 from kinema.pipeline.compatibility import check_pair
 from kinema.runs.build import build
 from kinema.text.encoders import ENCODERS

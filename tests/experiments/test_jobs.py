@@ -8,7 +8,8 @@ import pytest
 
 from kinema.experiments.config import CONF
 from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
-from kinema.experiments.tables import load_table, plan
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import plan
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line
 

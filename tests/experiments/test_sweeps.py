@@ -21,7 +21,8 @@ from kinema.experiments.multirun import sweeps
 from kinema.experiments.plan import estimate
 from kinema.experiments.replications import scored_lines
 from kinema.experiments.request import Request
-from kinema.experiments.tables import load_table, plan, render_table
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import plan, render_table
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line

@@ -11,14 +11,15 @@ import pytest
 
 from kinema.data.leakage import CAPTION, FRAMES, TAKE
 from kinema.data.synthetic import synthetic_clips, write_joints_folder
-from kinema.experiments import evaluation, reproduce, tables
+from kinema.experiments import evaluation, reproduce, table_files, tables
 from kinema.experiments.benchmark import benchmark_columns, sections
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
 from kinema.experiments.request import Request
-from kinema.experiments.tables import TableRow, load_table, meant_for, plan, provenance, render_table, with_borrowed
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import TableRow, meant_for, plan, provenance, render_table, with_borrowed
 from kinema.report.cells import grid
 
 FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
@@ -417,10 +418,66 @@ def test_a_table_on_a_split_of_its_own_keeps_the_judges_of_the_corpus(
     assert not (tmp_path / "reports").exists()
 
 
+SOUND = """
+name: own
+title: Own
+columns: [{key: fid, label: FID}]
+rows: [{key: real, kind: real, label: Real, source: real}]
+"""
+ROW = "source: real}]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (ROW, "source: real, override: [seed=1]}]", r"rows real.override is no option; .* has borrow, cannot, key"),
+        (ROW, "source: real}, {key: real, kind: method, label: B}]", "two of its rows have the key 'real'"),
+        (ROW, "source: real, note: is cut off, by a comma}]", "rows real.by a comma is no option"),
+        ("kind: real", "kind: reel", "rows real.kind=reel: must be one of real, control, method"),
+        ("title: Own", "titel: Own", "own.yaml.titel is no option"),
+        ("title: Own", "", "missing 1 required .*'title'"),
+        ("label: FID", "better: up, label: FID", "columns fid.better=up: must be one of higher, lower, real, none"),
+        (
+            "name: own",
+            "name: own\neffects: [{what: x, rows: real, than: real, columns: [fid]}]",
+            "effects x.rows is no",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_of_a_table_is_told_when_it_is_read(old, new, told, tmp_path, monkeypatch):
+    monkeypatch.setattr(table_files, "CONF", tmp_path)
+    (tmp_path / "table").mkdir()
+    (tmp_path / "table" / "own.yaml").write_text(SOUND)
+    assert load_table("own")["paper"] == {}
+    assert old in SOUND
+    (tmp_path / "table" / "own.yaml").write_text(SOUND.replace(old, new))
+    with pytest.raises(ValueError, match=rf"conf/table/own\.yaml.*{told}|{told}"):
+        load_table("own")
+
+
+def test_a_text_encoder_that_is_not_there_is_told_before_anything_trains(micro_tables, tmp_path, monkeypatch, capfd):
+    small = load_table("table5")
+    small["rows"] = [row for row in small["rows"] if row["key"] in ("ae", "mardm_sit")]
+    monkeypatch.setattr(reproduce, "load_table", lambda name: dict(small))
+    monkeypatch.setattr(reproduce, "run_missing", None)
+    monkeypatch.chdir(tmp_path)
+    words = ["table5", *micro_tables, f"paths.runs={tmp_path}/runs", "text=clip_b32", "text.path=/nowhere"]
+    with pytest.raises(SystemExit) as stopped:
+        reproduce.main(words)
+    assert stopped.value.code == 2
+    assert "/nowhere" in capfd.readouterr().err
+    reproduce.main([*words, "--plan"])
+    told = capfd.readouterr().out
+    assert "lacking   " in told
+    assert "/nowhere" in told
+    assert "would run" in told
+    assert not (tmp_path / "reports").exists()
+
+
 def test_an_unknown_table_is_named_with_those_there_are(monkeypatch, capsys):
     with pytest.raises(FileNotFoundError, match=r"no table 'table55'; tables: .*table5"):
         load_table("table55")
-    monkeypatch.setattr(tables, "CONF", Path("none"))
+    monkeypatch.setattr(table_files, "CONF", Path("none"))
     with pytest.raises(SystemExit) as stopped:
         reproduce.main(["table5"])
     assert stopped.value.code == 2

@@ -32,8 +32,9 @@ TABLE = """
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from kinema.experiments import reproduce, tables
-whole = tables.load_table("table5")
+from kinema.experiments import reproduce
+from kinema.experiments.table_files import load_table
+whole = load_table("table5")
 rows = [{**row, "overrides": []} for row in whole["rows"] if row.get("source") == "reconstruction"]
 reproduce.load_table = lambda name: {**whole, "rows": rows}
 if __name__ == "__main__":

@@ -210,7 +210,7 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     require_pool(cfg, store)
     if cfg.source == "oracle":
         require_labels(store)
-    _check_reads(cfg, row)
+    check_reads(cfg, row)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
     for stage in found:
@@ -244,7 +244,7 @@ def _check_method(cfg: DictConfig) -> None:
         )
 
 
-def _check_reads(cfg: DictConfig, row: Row) -> None:
+def check_reads(cfg: DictConfig, row: Row) -> None:
     """Find the vocabularies and the text encoder, which are read when every run is made."""
     from kinema.experiments.instantiate import check_text  # here too
 

@@ -13,9 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from kinema.experiments.config import compose
+from omegaconf import DictConfig
+
+from kinema.experiments.config import compose, plain
 from kinema.experiments.corpus import files_listed_once
 from kinema.experiments.dashboards import show_page, show_table
+from kinema.experiments.evaluation import Row, check_reads
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs, processes, run_jobs
 from kinema.experiments.launching import run_missing
@@ -23,7 +26,8 @@ from kinema.experiments.pages import make_page, pages
 from kinema.experiments.plan import print_plan
 from kinema.experiments.refusals import refusals
 from kinema.experiments.request import Request
-from kinema.experiments.tables import TableRow, load_table, meant_for, plan, render_table
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import TableRow, meant_for, plan, render_table
 from kinema.report.index import write_site
 from kinema.report.intervals import FORMS
 from kinema.runs.console import console, printable
@@ -111,6 +115,7 @@ def reproduce_all(names: list[str], overrides: list[str], **options: Any) -> Non
 def _run_together(requests: list[Request]) -> JobsFailedError | None:
     """Run what the tables lack, each job once; return what failed."""
     jobs: dict[tuple[Path, tuple[int, ...], frozenset[str]], Job] = {}
+    planned: list[TableRow] = []
     count = 1
     for request in requests:
         table = load_table(request.name)
@@ -120,11 +125,27 @@ def _run_together(requests: list[Request]) -> JobsFailedError | None:
         for job in missing_jobs(rows, [*request.shared, *_own(table, request)], request.replications):
             jobs.setdefault((job.makes, job.replications, job.judges), job)
         count = request.jobs or processes(next(row.cfg for row in rows if row.cfg is not None))
+        planned += rows
+    check_files(planned)
     try:
         run_jobs(list(jobs.values()), count)
     except JobsFailedError as error:
         return error
     return None
+
+
+def check_files(rows: list[TableRow]) -> None:
+    """Find the text encoders and vocabularies that incomplete rows read, each once, before anything is trained.
+
+    Raises what is raised where they are read.
+    """
+    asked: dict[str, tuple[DictConfig, Row]] = {}
+    for row in rows:
+        if row.cfg is not None and row.place is not None and not row.complete:
+            reads = {"text": plain(row.cfg.text), "evaluator": plain(row.cfg.evaluator), "source": row.cfg.source}
+            asked.setdefault(fingerprint([reads, sorted(row.place.judges)]), (row.cfg, row.place))
+    for cfg, place in asked.values():
+        check_reads(cfg, place)
 
 
 def _own(table: dict[str, Any], request: Request) -> list[str]:
@@ -157,10 +178,15 @@ def _reproduce_table(request: Request, made: JobsFailedError | None = None) -> N
         compose([*request.shared, *request.launcher])  # tells an unknown launcher, or option of it, before all else
     rows, own = plan(table, request.shared, request.seeds), _own(table, request)
     if request.plan:
+        try:
+            check_files(rows)
+        except (OSError, ValueError, ImportError) as error:
+            console.print(f"[yellow]lacking[/]   {error}")
         print_plan(missing_jobs(rows, [*request.shared, *table.get("overrides", [])], request.replications), rows)
         return
     failure: JobsFailedError | None = None
     if not request.render_only and any(row.cfg is not None and not row.complete for row in rows):
+        check_files(rows)
         try:
             run_missing(rows, own, request)
         except JobsFailedError as error:

@@ -13,16 +13,13 @@ from kinema.data.labels import has_labels
 from kinema.data.store import PackedStore
 from kinema.experiments.benchmark import sections
 from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
-from kinema.experiments.config import CONF, compose, plain
+from kinema.experiments.config import CONF, compose
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.evaluation import Row, describe
 from kinema.experiments.replications import EACH, over_replications, over_seeds
 from kinema.experiments.spent import spent
 from kinema.experiments.stages import stages
-
-PANELS = {"humanml3d": "humanml3d", "kit": "kit_ml"}
-"""The panel of a paper's table that shows motion of a skeleton."""
-
+from kinema.experiments.table_files import PANELS
 
 Results = dict[str, list[dict[str, Any]] | None]
 """Of every row, the metrics by replication: none where they are not all there, None where it isn't in Kinema."""
@@ -95,19 +92,6 @@ def grouped(rows: list[TableRow]) -> dict[str, Group]:
     for row in rows:
         groups.setdefault(row.spec["key"], []).append(row)
     return groups
-
-
-def load_table(name: str) -> dict[str, Any]:
-    """Read conf/table/NAME.yaml; a table `like` another has of it what its own file doesn't say.
-
-    Raises FileNotFoundError naming the tables there are.
-    """
-    path = CONF / "table" / f"{name}.yaml"
-    if not path.exists():
-        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
-        raise FileNotFoundError(f"there is no table {name!r}; tables: {known}")
-    own = plain(OmegaConf.load(path))
-    return {**load_table(own.pop("like")), **own} if "like" in own else own
 
 
 def meant_for(table: dict[str, Any], overrides: list[str]) -> bool:

@@ -8,7 +8,7 @@ import pytest
 
 from kinema.experiments.pages import figure1
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.tables import load_table
+from kinema.experiments.table_files import load_table
 
 
 def test_models_of_the_scaling_study_are_counted_and_drawn(micro, tmp_path, monkeypatch, capsys):

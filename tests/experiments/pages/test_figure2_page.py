@@ -9,7 +9,8 @@ import pytest
 from kinema.experiments.pages import load_page
 from kinema.experiments.pages.subjects import want
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.tables import load_table, plan
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import plan
 
 
 def test_it_counts_the_codes_of_every_tokenizer_once(micro, tmp_path, capsys):

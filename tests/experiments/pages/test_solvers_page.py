@@ -17,7 +17,8 @@ from kinema.experiments.evaluation import describe
 from kinema.experiments.pages import load_page
 from kinema.experiments.pages.solvers import mark_fast, points
 from kinema.experiments.reproduce import reproduce
-from kinema.experiments.tables import load_table, plan
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import plan
 from kinema.generators.mar import MARDM, MarSampling
 from kinema.generators.mdm import MDM, FrameSampling
 from kinema.types import TextFeatures

@@ -15,7 +15,8 @@ from kinema.experiments.pages.subjects import read_motions
 from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.request import Request
 from kinema.experiments.sampling import build_sampling
-from kinema.experiments.tables import TableRow, load_table
+from kinema.experiments.table_files import load_table
+from kinema.experiments.tables import TableRow
 from kinema.report.intervals import measure
 
 if TYPE_CHECKING:
