@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import re
 import subprocess
 import sys
 import threading
+
+import pytest
 
 from kinema.locks import attempt, hold
 
@@ -79,3 +84,24 @@ def test_a_thread_does_not_hold_what_another_holds(tmp_path):
         other()
     other()
     assert found == [False, True]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP], ids=errno.errorcode.get)
+@pytest.mark.parametrize("take", [hold, attempt])
+def test_a_file_system_without_locks_is_told_with_the_fix(take, code, tmp_path, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+
+    def flock(fd, operation):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    path = tmp_path / ".lock"
+    told = re.escape(f"{os.strerror(code)}: {path} can't be locked") + ".* set KINEMA_RUNS, KINEMA_CACHE and KINEMA_STO"
+    with pytest.raises(OSError, match=told) as refused, take(path):
+        raise AssertionError("a file that a killed process would leave took the lock's place")
+    assert refused.value.errno == code
+
+
+def test_an_error_of_the_work_inside_is_left_as_it_is(tmp_path):
+    with pytest.raises(OSError, match=r"^\[Errno \d+\] mine$"), hold(tmp_path / ".lock"):
+        raise OSError(errno.ENOLCK, "mine")

@@ -47,7 +47,8 @@ def built(tmp_path_factory) -> Path:
 def test_the_wheel_is_the_package_and_its_configurations(built):
     (wheel,) = built.glob("*.whl")
     names = {n for n in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in n}
-    assert names == {f"kinema/{name}" for name in files(ROOT / "src" / "kinema")} | {
+    rooms = ("kinema", "hydra_plugins")  # the second is where Hydra looks for launchers
+    assert names == {f"{room}/{name}" for room in rooms for name in files(ROOT / "src" / room)} | {
         f"kinema/conf/{name}" for name in files(ROOT / "conf")
     }
 

@@ -202,7 +202,7 @@ def test_an_interrupted_multirun_is_the_last(monkeypatch, tmp_path):
     begun = []
 
     class Call:
-        def __init__(self, words):
+        def __init__(self, words, env):
             begun.append(words)
 
         def __enter__(self):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -112,6 +113,38 @@ def test_files_that_shrink_under_a_writer_are_not_patched_up(tmp_path):
         (cache.folder / name).unlink()
     with pytest.raises(OSError, match="shrank while in use"):
         cache(TEXTS)
+
+
+def test_sizes_that_a_network_file_system_still_remembers_cut_nothing_off(tmp_path, monkeypatch):
+    first, second = CachedTextEncoder(Counting(), tmp_path, chunk=1), CachedTextEncoder(Counting(), tmp_path)
+    first(TEXTS[:1])
+    second(TEXTS[:1])
+    known, stat = {name: os.stat(first.folder / name) for name in ("pooled.bin", "tokens.bin", "index.bin")}, os.stat
+    first(TEXTS[1:4])
+
+    def remembered(path, *args, **kwargs):
+        name = os.path.basename(path) if isinstance(path, str | os.PathLike) else None
+        return known.get(name) or stat(path, *args, **kwargs)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "stat", remembered)
+        assert (second.folder / "pooled.bin").stat().st_size < stat(second.folder / "pooled.bin").st_size
+        assert_same(second(TEXTS), HashedTextEncoder(16)(TEXTS))
+    again = CachedTextEncoder(Counting(), tmp_path)
+    assert_same(again(TEXTS), HashedTextEncoder(16)(TEXTS))
+    assert (second.encoded, again.encoded) == (1, 0)
+
+
+def test_records_that_a_writer_has_not_seen_are_not_cut_off(tmp_path):
+    blind, other = CachedTextEncoder(Counting(), tmp_path), CachedTextEncoder(Counting(), tmp_path)
+    blind(TEXTS[:1])
+    other(TEXTS)
+    found = HashedTextEncoder(16)(TEXTS[1:2])
+    with pytest.raises(OSError, match="records of another process that were not seen"):
+        blind.features.append(TEXTS[1:2], found.pooled.numpy(), [found.tokens[0].numpy()])
+    again = CachedTextEncoder(Counting(), tmp_path)
+    assert_same(again(TEXTS), HashedTextEncoder(16)(TEXTS))
+    assert again.encoded == 0
 
 
 def test_an_encoder_that_fails_leaves_nothing_behind(tmp_path):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 from dataclasses import asdict, replace
 
@@ -39,6 +41,28 @@ def test_a_line_is_replaced_by_that_of_the_same_file(tmp_path):
     path = add(tmp_path, [again, replace(WALK, file="new.npz")])
     assert read_manifest(path) == [again, BOW, replace(WALK, file="new.npz")]
     assert "démarre" in path.read_text(encoding="utf-8")
+
+
+def test_a_manifest_that_a_network_file_system_does_not_see_yet_is_kept(tmp_path, monkeypatch):
+    path = add(tmp_path, [WALK])
+    stat = os.stat
+
+    def remembered(name, *args, **kwargs):
+        if name == path and not made:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(name))
+        return stat(name, *args, **kwargs)
+
+    def opened(name, flags, *args, **kwargs):
+        made.append(name) if name == path and flags & os.O_CREAT else None
+        return open_(name, flags, *args, **kwargs)
+
+    made, open_ = [], os.open
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "stat", remembered)
+        patched.setattr(os, "open", opened)
+        patched.setattr(os, "utime", remembered)
+        add(tmp_path, [BOW])
+    assert read_manifest(path) == [WALK, BOW]
 
 
 def test_lines_are_prompts_that_ask_for_the_same_motions(tmp_path):

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError
+from kinema.experiments.lost import lost_jobs
 from kinema.runs.console import console
 from kinema.signals import Interrupted, ended_by_signal, interruptible
 
@@ -23,26 +24,30 @@ def run_multiruns(jobs: list[Job], overrides: list[str]) -> None:
     """
     failed: dict[Job, BaseException] = {}
     left_out: list[Job] = []
-    lost: set[Path] = set()
+    unmade: set[Path] = set()
     for command, step in steps(jobs):
-        waiting = [job for job in step if job.reads & lost]
+        waiting = [job for job in step if job.reads & unmade]
         ready = [job for job in step if job not in waiting]
         left_out += waiting
+        reasons: dict[Job, str] = {}
         for choices in sweeps(ready):
             words = [command, "-m", *overrides, *choices]
             console.print(f"[bold]run[/]       kinema {' '.join(words)}")
-            _run(words)
-        broken = {job: OSError(reason) for job in ready if (reason := job.unfinished()) is not None}
+            with lost_jobs() as lost:
+                _run(words, lost.environment)
+                reasons |= lost.reasons(job for job in ready if _names(job.overrides) == _names(choices))
+        # What a launcher says comes first: in its run's folder, a job that was killed left what an earlier one wrote.
+        broken = {job: OSError(reasons.get(job, why)) for job in ready if (why := job.unfinished()) is not None}
         failed |= broken
-        lost |= {job.makes for job in (*waiting, *broken)}
+        unmade |= {job.makes for job in (*waiting, *broken)}
     if failed:
         raise JobsFailedError(failed, left_out)
 
 
-def _run(words: list[str]) -> None:
+def _run(words: list[str], environment: dict[str, str]) -> None:
     """Call kinema; an interrupted call interrupts this process, and the other way round."""
     # -P: a file of the user's in this directory must not be taken for a module of the same name.
-    with subprocess.Popen([sys.executable, "-P", "-m", "kinema.cli", *words]) as process:
+    with subprocess.Popen([sys.executable, "-P", "-m", "kinema.cli", *words], env=environment) as process:
         try:
             with interruptible():
                 code = process.wait()
@@ -70,6 +75,10 @@ def steps(jobs: list[Job]) -> list[tuple[str, list[Job]]]:
         found.setdefault((level[job.overrides[0]], job.command), []).append(job)
     order = (TRAIN, EVALUATE)
     return [(key[1], found[key]) for key in sorted(found, key=lambda key: (key[0], order.index(key[1])))]
+
+
+def _names(overrides: Iterable[str]) -> set[str]:
+    return {override.partition("=")[0] for override in overrides}
 
 
 def sweeps(jobs: Iterable[Job]) -> list[list[str]]:

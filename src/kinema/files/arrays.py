@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import lzma
 import math
+import os
 import struct
 import zipfile
 import zlib
@@ -107,7 +108,7 @@ def _open_npy(path: str | Path, wanted: Wanted | None, fix: str) -> tuple[Path, 
     if not head.startswith(np.lib.format.MAGIC_PREFIX):
         raise refuse(path, f"{describe(head)}, not an array (.npy)", fix)
     with path.open("rb") as file:
-        dtype, shape, fortran = _header(str(path), file, wanted or Wanted(), path.stat().st_size, fix)
+        dtype, shape, fortran = _header(str(path), file, wanted or Wanted(), os.fstat(file.fileno()).st_size, fix)
         return path, dtype, shape, fortran, file.tell()
 
 

@@ -17,7 +17,7 @@ def append_line(path: Path, value: dict[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with needing_room(path), open(path, "ab+") as file:
         torn = False
-        if file.tell():
+        if file.tell():  # its end as the opened file has it: asked for by name, NFS may tell an old size
             file.seek(-1, os.SEEK_END)
             torn = file.read(1) != b"\n"
         file.write((("\n" if torn else "") + json.dumps(value, sort_keys=True) + "\n").encode())

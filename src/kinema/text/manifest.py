@@ -82,7 +82,8 @@ def add(folder: Path, entries: Iterable[Entry]) -> Path:
     """
     path = folder / NAME
     with hold(folder / f".{NAME}.lock"):
-        known = {entry.file: entry for entry in read_manifest(path)} if path.exists() else {}
+        path.touch()  # NFS asks the server then: else it may still know that another machine's manifest wasn't there
+        known = {entry.file: entry for entry in read_manifest(path)}
         known |= {entry.file: entry for entry in entries}
         text = "".join(json.dumps(asdict(entry), ensure_ascii=False) + "\n" for entry in known.values())
         return write_text(path, text)

@@ -3,7 +3,8 @@
 A folder holds `pooled.bin` (one row per text), `tokens.bin` (the real tokens of all texts, one after the other),
 `index.bin` (one record per text: a header and the text) and `encoder.json` (what made them). Data is written before its
 record, so whatever a killed process leaves behind the last whole record is not referred to and is cut off by the next
-writer. Readers need no lock.
+writer. Readers need no lock. Sizes are those of opened files: by its name, NFS says for up to a minute what a file had
+before another machine wrote to it.
 """
 
 from __future__ import annotations
@@ -68,33 +69,39 @@ class PackedFeatures:
 
     def refresh(self) -> None:
         """Take in the records that other processes have added; stop at one that is not whole."""
-        try:
-            with open(self.folder / "index.bin", "rb") as file:
-                file.seek(self._read)
-                data = file.read()
-        except FileNotFoundError:
-            return
+        known = self.rows
+        for text, end, read in self._added():
+            self.index[text] = self.rows
+            self._ends.append(end)
+            self._read = read
+        if self.rows > known:
+            self._map()
+
+    def _added(self) -> Iterator[tuple[str, int, int]]:
+        """Yield text, end of its tokens and end in `index.bin` of each whole record that isn't taken in."""
+        with _opened(self.folder / "index.bin") as file:
+            if file is None:
+                return
+            file.seek(self._read)
+            data = file.read()
         rows, token_rows = self._whole_rows("pooled.bin"), self._whole_rows("tokens.bin")
-        at, known = 0, self.rows
+        at, start, row, end = 0, self._read, self.rows, self._ends[-1]
         while at + _HEADER.size <= len(data):
             size, count, checksum = _HEADER.unpack_from(data, at)
             text = data[at + _HEADER.size : at + _HEADER.size + size]
-            end = self._ends[-1] + (count if self.token_dim else 0)
-            if _checksum(text, count) != checksum or len(text) < size or self.rows >= rows or end > token_rows:
-                break
-            self.index[text.decode()] = self.rows
-            self._ends.append(end)
+            row, end = row + 1, end + (count if self.token_dim else 0)
+            if _checksum(text, count) != checksum or len(text) < size or row > rows or end > token_rows:
+                return
             at += _HEADER.size + size
-        self._read += at
-        if self.rows > known:
-            self._map()
+            yield text.decode(), end, start + at
 
     def _row_bytes(self, name: str) -> int:
         return self.dim * 4 if name == "pooled.bin" else self.token_dim * self.token_dtype.itemsize
 
     def _whole_rows(self, name: str) -> int:
-        path, width = self.folder / name, self._row_bytes(name)
-        return path.stat().st_size // width if width and path.exists() else 0
+        width = self._row_bytes(name)
+        with _opened(self.folder / name) as file:
+            return os.fstat(file.fileno()).st_size // width if width and file is not None else 0
 
     def _map(self) -> None:
         self.pooled = np.memmap(self.folder / "pooled.bin", np.float32, "r", shape=(self.rows, self.dim))
@@ -106,11 +113,19 @@ class PackedFeatures:
     def writing(self) -> Iterator[None]:
         """Hold the folder's lock, with the records of all other writers taken in."""
         with hold(self.folder / "lock"):
+            for name in ("pooled.bin", *(["tokens.bin"] if self.token_dim else []), "index.bin"):
+                # Made if need be, since NFS asks the server then: else it may still know that there was none.
+                _open_for_update(self.folder / name).close()
             self.refresh()
             yield
 
     def append(self, texts: Sequence[str], pooled: np.ndarray, tokens: Sequence[np.ndarray]) -> None:
-        """Add texts that are new; call inside `writing`."""
+        """Add texts that are new; call inside `writing`.
+
+        Raises OSError where whole records would be cut off: what a killed process leaves is less than one.
+        """
+        if next(self._added(), None) is not None:
+            raise OSError(f"{self.folder} has records of another process that were not seen; run the command again")
         records = bytearray()
         for text, rows in zip(texts, tokens, strict=True):
             raw = text.encode()
@@ -137,6 +152,18 @@ class PackedFeatures:
 def _checksum(text: bytes, count: int) -> int:
     """Check a record; never 0 for the zeros that a crash of the machine can leave."""
     return zlib.crc32(text, 1 + count)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[BinaryIO | None]:
+    """Open a file to read it; None if there is none."""
+    try:
+        file = path.open("rb")
+    except FileNotFoundError:
+        yield None
+        return
+    with file:
+        yield file
 
 
 def _open_for_update(path: Path) -> BinaryIO:

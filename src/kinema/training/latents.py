@@ -139,7 +139,7 @@ def _claim(file: Path) -> None:
     """Take a mapped file's room at once: on a full disk, writing to the map would end the process without a word."""
     if sys.platform == "linux":
         with file.open("r+b") as opened:
-            os.posix_fallocate(opened.fileno(), 0, file.stat().st_size)
+            os.posix_fallocate(opened.fileno(), 0, os.fstat(opened.fileno()).st_size)
 
 
 class EncodeEachTime:
