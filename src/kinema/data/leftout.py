@@ -48,7 +48,7 @@ def told_of(catalog: Catalog, dropped: Sequence[Dropped], manifest: dict[str, An
     for flaw in READABLE:
         if slips := [str(slip) for slip in catalog.slips if slip.flaw is flaw]:
             shown = f"{'; '.join(slips[:SHOWN])}{'; ...' if len(slips) > SHOWN else ''}"
-            yield f"captions  {len(slips)} {flaw.message}: {shown}; fix: {flaw.fix}"
+            yield f"{flaw.of:<10}{len(slips)} {flaw.message}: {shown}; fix: {flaw.fix}"
     units = {"missing": "listed clips without files", "clip": "unusable clips", "caption": "unreadable captions"}
     for what, unit in units.items():
         if found := [d for d in dropped if d.what == what]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinema.data.captions import swap_sides
-from kinema.data.catalog import SPLITS, UNTOLD, Dropped
+from kinema.data.catalog import SPLITS, Dropped
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
 from kinema.data.doctor.sketch import Sketch
@@ -235,16 +235,20 @@ def motion(patient: Patient, seen: Sketch) -> Iterator[Finding]:
 
 def _rate(patient: Patient, seen: Sketch) -> Iterator[Finding]:
     """Tell where a folder's rate is known from, and guess another where people don't move like that."""
-    rate = patient.skeleton.fps
+    rate, untold = patient.skeleton.fps, np.array(patient.untold)
+    some = not untold.all()
+    names = tuple(name for name, guessed in zip(patient.names, untold, strict=True) if guessed and some)
     if patient.rate:
-        yield Finding("info", "rate", f"frame rate: {patient.rate}; entries have {rate:g} fps")
-    known = np.isfinite(seen.paces).any() and patient.rate in ("", UNTOLD)
-    guess = likely_rate(float(np.nanmedian(seen.paces)), rate) if known else None
+        yield Finding("info", "rate", f"frame rate: {patient.rate}; entries have {rate:g} fps", items=names)
+    paces = seen.paces[untold]
+    guess = likely_rate(float(np.nanmedian(paces)), rate) if np.isfinite(paces).any() else None
     if guess is not None:
-        message = (
-            f"the clips move as if recorded at about {guess:g} fps and read at {rate:g} (guessed from their speed)"
-        )
-        yield Finding("warning", "rate", message, f"--fps {guess:g} (data.fps={guess:g}) if so, --fps {rate:g} if not")
+        which = f"the {len(names)} clips without a rate" if some else "the clips"
+        message = f"{which} move as if recorded at about {guess:g} fps and read at {rate:g} (guessed from their speed)"
+        fix = f"--fps {guess:g} (data.fps={guess:g}) if so, --fps {rate:g} if not"
+        if some:  # an option would come before what is told of the others
+            fix = f'give them "fps": {guess:g} in manifest.json if so, {rate:g} if not'
+        yield Finding("warning", "rate", message, fix, names)
 
 
 def _severity(count: int, total: int) -> Severity:
