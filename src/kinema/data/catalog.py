@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from kinema.data.captions import AnnotatedCaption
-from kinema.data.folders import listed_names, stems
+from kinema.data.folders import instead_of, listed_names, stems
 from kinema.data.manifest import Manifest, read_clip_fields
 from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
 from kinema.data.slips import UNREADABLE, Slip, check_readable, read_captions
@@ -157,12 +157,15 @@ def _read_folder(root: Path, motions: str, manifest: Manifest, split: str | None
     listed, index = _read_splits(root, motions, split), read_index(root)
     available = set(stems(root / motions, ".npy"))
     texts = set(stems(root / "texts", ".txt")) if (root / "texts").is_dir() else None
+    there = instead_of(root, motions, [f"{name}.npy" for name in listed if name not in available])
+    there |= instead_of(root, "texts", [f"{name}.txt" for name in listed if texts is not None and name not in texts])
     clips, dropped, slips = [], [], list[Slip]()
     for name, split in listed.items():
         lacking = [f"{motions}/{name}.npy"] if name not in available else []
         lacking += [f"texts/{name}.txt"] if texts is not None and name not in texts else []
         if lacking:
-            dropped.append(Dropped(name, split, "missing", f"{' and '.join(lacking)} not found"))
+            found = "".join(f", but {there[file]}" for file in lacking if file in there)
+            dropped.append(Dropped(name, split, "missing", f"{' and '.join(lacking)} not found{found}"))
             continue
         captions, wrong = ([], []) if texts is None else read_captions(root, f"texts/{name}.txt")
         slips += wrong

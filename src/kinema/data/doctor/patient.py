@@ -10,7 +10,7 @@ import numpy as np
 
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped, read_joints_folder, read_official
 from kinema.data.convert import convert
-from kinema.data.folders import stems
+from kinema.data.folders import instead_of, stems, visible_files
 from kinema.data.origin import Origin
 from kinema.data.packing import cut_entries
 from kinema.data.slips import Slip
@@ -119,6 +119,10 @@ def guess_skeleton(path: Path) -> Skeleton:
         except (ValueError, OSError) as error:
             first = first or ValueError(f"{file}: {error}")
     if first is None:
+        odd = [f"{file[:-4]}.npy" for file in visible_files(folder) if file.lower().endswith((".npy", ".npz"))]
+        if odd:
+            (told,) = instead_of(path, folder.name, odd[:1]).values()
+            raise FileNotFoundError(f"{path} has no {folder.name}/*.npy, but {told}")
         raise FileNotFoundError(
             f"{path} has neither new_joint_vecs/*.npy nor joints/*.npy; is it a corpus folder? Captures are prepared "
             "first (kinema prepare --format bvh, amc or amass), and the store is examined"
