@@ -97,7 +97,7 @@ def read_captures(
             clips += _clips(name, source, len(joints), None if cuts is None else cuts[name], shares[name])
             seen.append(understood)
         except (ValueError, FileNotFoundError) as error:  # an .amc without its .asf
-            dropped.append(Dropped(name, shares[name], "clip", str(error), "capture", "see the message"))
+            dropped.append(Dropped(name, shares[name], "clip", str(error), "capture"))
     _check_names(clips)
     clips.sort(key=lambda clip: SPLITS.index(clip.split))
     others = f"; {len(takes) - len(wanted)} takes are not in the table" if len(wanted) < len(takes) else ""

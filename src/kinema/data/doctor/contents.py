@@ -13,7 +13,7 @@ from kinema.data.catalog import SPLITS, Dropped
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
 from kinema.data.doctor.sketch import Sketch
-from kinema.data.leftout import by_kind
+from kinema.data.leftout import by_problem
 from kinema.data.slips import READABLE, UNREADABLE
 from kinema.motion.checks import MAX_SPEED
 from kinema.motion.geometry import likely_rate
@@ -84,12 +84,14 @@ def left_out(patient: Patient) -> Iterator[Finding]:
 
 
 def _unusable(dropped: list[Dropped], usable: int) -> Iterator[Finding]:
-    """Tell which clips hold no motion, one finding a kind of problem; one clip in twenty is but a warning."""
-    for kind, found in by_kind(dropped).items():
-        severity: Severity = "error" if len(found) > MANY_MISSING * (len(dropped) + usable) else "warning"
-        items = tuple(map(_item, found))
+    """Tell which clips hold no motion, one finding a problem; a kind that one clip in twenty has is but a warning."""
+    total, kinds = len(dropped) + usable, Counter(d.kind for d in dropped)
+    for found in by_problem(dropped):
+        kind, items = found[0].kind, tuple(map(_item, found))
+        severity: Severity = "error" if kinds[kind] > MANY_MISSING * total else "warning"
         if kind in MISREAD:
-            message = f"{len(found)} of {len(dropped) + usable} clips: {found[0].reason}"
+            first = "" if len({d.reason for d in found}) == 1 else f"first, {found[0].name}: "
+            message = f"{len(found)} of {total} clips: {first}{found[0].reason}"
             yield Finding(severity, kind, message, found[0].fix, tuple(d.name for d in found))
         else:
             fix = "extract these clips again, or take them off the lists"
