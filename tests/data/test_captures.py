@@ -8,6 +8,7 @@ from tests.motion.captures.conftest import bvh_text
 
 from kinema import cli
 from kinema.data.captures import read_captures
+from kinema.data.doctor import diagnose
 from kinema.data.prepare import prepare, prepare_store
 from kinema.data.store import PackedStore
 from kinema.data.synthetic import synthetic_clips
@@ -89,6 +90,31 @@ def test_cuts_that_begin_together_and_takes_that_are_spelled_alike_are_told_apar
     (folder / "day_two").mkdir()
     (folder / "day_two/a.bvh").write_text(swaying(8))
     with pytest.raises(ValueError, match="'day two/a' and 'day_two/a' would make clips of one name"):
+        read_captures(folder)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [(",", "0,{end}"), ("0,3.01", "0,3.02"), ("0,3.01", "0.02,3"), ("6,", "6.01,{end}")]
+)
+def test_seconds_that_are_the_same_frames_are_one_clip_with_the_captions_of_both(folder, tmp_path, one, other):
+    end = len(read_recording(folder / "b.bvh").joints) / 20 + 0.01
+    rows = (f"b,{one},somebody sways,train", f"b,{other.format(end=end)},they wiggle,train", "b,7,9,they stop,train")
+    catalog = read_captures(folder, captions=table(folder, *rows))
+    assert [[c.caption.text for c in clip.captions] for clip in catalog] == [
+        ["somebody sways", "they wiggle"],
+        ["they stop"],
+    ]
+    store = prepare(catalog, tmp_path / "store", name="mine", mirror=False)
+    assert not [f for f in diagnose(store) if f.kind == "duplicate names"]
+
+
+def test_a_suffix_may_be_in_any_case_and_two_takes_of_one_name_are_refused(folder):
+    for name, other in (("a.bvh", "a.BVH"), ("b.bvh", "b.Bvh")):
+        (folder / name).rename(folder / other)
+    assert {clip.fields["take"] for clip in read_captures(folder)} == {"a", "b", "c", "day two/a"}
+    assert read_captures(folder, captions=table(folder, "b.bvh,0,2,a,")).clips[0].fields["take"] == "b"
+    (folder / "c.BVH").write_text(swaying(9))
+    with pytest.raises(ValueError, match=r"holds c\.BVH and c\.bvh, takes of one name; rename one"):
         read_captures(folder)
 
 

@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from kinema import cli
 from kinema.data.catalog import Clip, read_joints_folder, read_official
+from kinema.data.doctor import diagnose, format
 
 
 def test_clips_come_in_split_order_with_captions_and_fields(joints_corpus):
@@ -26,6 +28,28 @@ def test_files_that_lack_are_dropped_with_the_reason(joints_corpus):
     assert [c.name for c in catalog] == ["c"]
     reasons = {d.name: (d.what, d.reason) for d in catalog.dropped}
     assert reasons == {"a": ("missing", "joints/a.npy not found"), "b": ("missing", "texts/b.txt not found")}
+
+
+def test_a_file_that_lies_there_under_another_name_is_named_with_the_fix(joints_corpus, official_corpus):
+    root = joints_corpus(dict.fromkeys(("a", "b", "more"), ("train", 50)))
+    (root / "joints/a.npy").rename(root / "joints/a.NPY")
+    np.savez(root / "joints/b.npz", joints=np.load(root / "joints/b.npy"))
+    (root / "joints/b.npy").unlink()
+    (root / "texts/b.txt").rename(root / "texts/b.TXT")
+    assert {d.name: d.reason for d in read_joints_folder(root).dropped} == {
+        "a": "joints/a.npy not found, but joints/a.NPY is there: rename it",
+        "b": "joints/b.npy and texts/b.txt not found, but joints/b.npz is there: kinema export joints/b.npz --out "
+        "joints/b.npy, but texts/b.TXT is there: rename it",
+    }
+    (root / "joints/more.npy").unlink()
+    assert "has no joints/*.npy, but joints/a.NPY is there: rename it" in format(diagnose(root))
+    assert cli.main(["export", str(root / "joints/b.npz"), "--out", str(root / "joints/b.npy")]) == 0
+    assert np.load(root / "joints/b.npy").shape == (50, 22, 3)
+    features = official_corpus({"a": ("train", 50)})
+    np.savez(features / "new_joint_vecs/a.npz", np.load(features / "new_joint_vecs/a.npy"))
+    (features / "new_joint_vecs/a.npy").unlink()
+    (dropped,) = read_official(features).dropped
+    assert dropped.reason.endswith("but new_joint_vecs/a.npz is there: save its array as .npy")
 
 
 def test_unreadable_caption_lines_are_named(joints_corpus):

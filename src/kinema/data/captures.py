@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from kinema.data.captions import AnnotatedCaption, parse_line
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped
-from kinema.data.folders import stems
+from kinema.data.folders import visible_files
 from kinema.data.origin import CUT, Origin
 from kinema.data.splitting import split_of
 from kinema.files.csv import read_csv
@@ -26,7 +26,7 @@ from kinema.motion.convention import Convention
 from kinema.motion.skeleton import HUMANML3D
 from kinema.options import OneOf
 
-VERSION = 1
+VERSION = 2
 """Raised when the reader gives other clips of the same source."""
 
 SUFFIXES = {"bvh": ".bvh", "amc": ".amc", "amass": ".npz"}
@@ -57,7 +57,6 @@ class Source:
 class Cut:
     """Hold one row of the table: seconds [start, end) of a take, None to its end, and what is said of them."""
 
-    file: str
     start: float
     end: float | None
     captions: tuple[AnnotatedCaption, ...]
@@ -83,8 +82,7 @@ def read_captures(
     """
     root = Path(path)
     told = Convention(up=up, scale=scale, fps=fps, mapping=mapping)
-    spelled = (SUFFIXES[format], SUFFIXES[format].upper())
-    takes = {name: root / f"{name}{suffix}" for suffix in spelled for name in stems(root, suffix)}
+    takes = _find_takes(root, SUFFIXES[format])
     if not takes:
         raise FileNotFoundError(f"{root} holds no *{SUFFIXES[format]} (--format {format})")
     shares = {name: split_of(i, SHARES) for i, name in enumerate(sorted(takes))}
@@ -99,25 +97,42 @@ def read_captures(
             clips += _clips(name, source, len(joints), None if cuts is None else cuts[name], shares[name])
             seen.append(understood)
         except (ValueError, FileNotFoundError) as error:  # an .amc without its .asf
-            dropped.append(Dropped(name, shares[name], "clip", str(error), "capture", "see the message"))
+            dropped.append(Dropped(name, shares[name], "clip", str(error), "capture"))
     _check_names(clips)
     clips.sort(key=lambda clip: SPLITS.index(clip.split))
     others = f"; {len(takes) - len(wanted)} takes are not in the table" if len(wanted) < len(takes) else ""
     return Catalog(clips, dropped, rate=_summary(seen) + others)
 
 
+def _find_takes(root: Path, suffix: str) -> dict[str, Path]:
+    """Find takes by name, in whatever case their suffix is. Raises ValueError for two files of one name."""
+    takes: dict[str, Path] = {}
+    for file in visible_files(root):
+        if not file.lower().endswith(suffix):
+            continue
+        name = file[: -len(suffix)]
+        if name in takes:
+            other = takes[name].relative_to(root).as_posix()
+            raise ValueError(f"{root} holds {other} and {file}, takes of one name; rename one")
+        takes[name] = root / file
+    return takes
+
+
 def _clips(name: str, source: Source, size: int, cuts: list[Cut] | None, split: str) -> Iterator[Clip]:
     """Cut one take: as the table says, or piece by piece."""
     rate = HUMANML3D.fps
-    pieces = [Cut(name, start / rate, None, (), split) for start in range(0, size, CUT)] if cuts is None else cuts
-    for cut in pieces:
-        first = round(cut.start * rate)
-        last = min(first + CUT, size) if cuts is None else size if cut.end is None else round(cut.end * rate)
-        plain = re.sub(r"[^\w.+-]+", "_", name)
+    found: dict[tuple[int, int], list[AnnotatedCaption]] = {}
+    if cuts is None:
+        found = {(start, min(start + CUT, size)): [] for start in range(0, size, CUT)}
+    for cut in cuts or ():  # seconds that are the same frames are one clip
+        frames = round(cut.start * rate), size if cut.end is None else round(cut.end * rate)
+        found.setdefault(frames, []).extend(cut.captions)
+    plain = re.sub(r"[^\w.+-]+", "_", name)
+    for (first, last), captions in found.items():
         yield Clip(
             plain if (first, last) == (0, size) else f"{plain}_{first:06d}_{last:06d}",
-            cut.split or split,
-            list(cut.captions),
+            cuts[0].split or split if cuts else split,
+            captions,
             {"take": name},
             joints=partial(_piece, source, first, last),
             origin=Origin(name, first, last),
@@ -135,8 +150,8 @@ def _check_names(clips: list[Clip]) -> None:
 
 
 def _read_table(file: Path, takes: dict[str, Path]) -> dict[str, list[Cut]]:
-    """Read the table of captions: the stretches of each take, several rows of one being its captions."""
-    found: dict[tuple[str, float, float | None], list[AnnotatedCaption]] = {}
+    """Read the table of captions, the rows of each take."""
+    cuts: dict[str, list[Cut]] = {}
     splits: dict[str, str] = {}
     for number, row in enumerate(read_csv(file, "file", "caption", fix=TABLE), 2):
         where = f"{file}, row {number}"
@@ -150,14 +165,11 @@ def _read_table(file: Path, takes: dict[str, Path]) -> dict[str, list[Cut]]:
         if splits.setdefault(name, split) != split:
             raise ValueError(f"{where}: {name} is in {splits[name]!r} above; a take belongs to one split")
         caption = (row["caption"] or "").strip()
-        said = found.setdefault((name, start, end), [])
         try:
-            said += [parse_line(caption)] if caption else []
+            said = (parse_line(caption),) if caption else ()
         except ValueError as error:
             raise ValueError(f"{where}: {error}") from None
-    cuts: dict[str, list[Cut]] = {}
-    for (name, start, end), captions in found.items():
-        cuts.setdefault(name, []).append(Cut(name, start, end, tuple(captions), splits[name]))
+        cuts.setdefault(name, []).append(Cut(start, end, said, split))
     return cuts
 
 

@@ -11,20 +11,18 @@ from typing import Any, Literal
 import numpy as np
 
 from kinema.data.captions import AnnotatedCaption
-from kinema.data.folders import listed_names, stems
+from kinema.data.folders import instead_of, listed_names, stems
+from kinema.data.manifest import Manifest, read_clip_fields
 from kinema.data.origin import SOURCE_FIELDS, Origin, named_origin, read_index
 from kinema.data.slips import UNREADABLE, Slip, check_readable, read_captions
 from kinema.files.arrays import NUMBERS, Wanted, read_npy
-from kinema.files.json import fault, read_json
-from kinema.files.kinds import refuse
 from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.skeleton import get_skeleton
 from kinema.motion.statistics import Statistics
 
-VERSION = 3
+VERSION = 4
 """Raised when a reader gives other clips of the same source."""
 
-MANIFEST = 'write a list of objects, each with a "name"'
 SPLITS = ("train", "val", "test")
 UNTOLD = "taken for granted: no option (fps) and no file tells it"
 
@@ -76,7 +74,8 @@ class Dropped:
 class Catalog:
     """Hold the clips of a corpus in split order, what was dropped on the way, and the statistics it ships with.
 
-    `rate` says where the frame rate of its joints is known from, `slips` what is wrong with lines of captions.
+    `rate` says where the frame rate of its joints is known from, `slips` what is wrong with lines of captions and with
+    the manifest.
     """
 
     clips: list[Clip]
@@ -109,25 +108,24 @@ def read_joints_folder(
     beside `NAME` is taken for the mirror image of it, `NAME_sK` for the K-th piece of a take, unless an `index.csv`
     says otherwise. The other options say how the joints are written (`Convention`); `fps` comes before the manifest's.
     """
-    told = Convention(up, handed, scale, order, fps)
-    known = _read_fields(Path(path) / "manifest.json")
-    catalog = _read_folder(Path(path), "joints", known, split)
+    told, manifest = Convention(up, handed, scale, order, fps), read_clip_fields(Path(path))
+    catalog = _read_folder(Path(path), "joints", manifest, split)
     if fps is not None:
         return replace(catalog, clips=[replace(c, convention=told) for c in catalog], rate=f"{fps:g} fps, asked for")
-    clips = [replace(c, convention=_with_rate(told, c.fields.get("fps", ""), c.name)) for c in catalog]
-    rates = sorted({c.convention.fps for c in clips if c.convention.fps is not None})
-    said = f"{', '.join(f'{rate:g}' for rate in rates)} fps, as manifest.json says" if rates else ""
-    return replace(catalog, clips=clips, rate=said or UNTOLD)
+    clips = [replace(c, convention=replace(told, fps=manifest.fps(c.name))) for c in catalog]
+    return replace(catalog, clips=clips, rate=_told_rate([c.convention.fps for c in clips]))
 
 
-def _with_rate(told: Convention, fps: str, name: str) -> Convention:
-    """Add the rate that a manifest tells of a clip."""
-    if not fps:
-        return told
-    try:
-        return replace(told, fps=float(fps))
-    except ValueError:
-        raise ValueError(f"manifest.json: clip {name!r} has fps {fps!r}; write a positive number") from None
+def _told_rate(rates: list[float | None]) -> str:
+    """Say which rates a manifest tells, and of how many clips if not of all."""
+    told = [rate for rate in rates if rate is not None]
+    if not told:
+        return UNTOLD
+    which, untold = ", ".join(f"{rate:g}" for rate in sorted(set(told))), len(rates) - len(told)
+    if not untold:
+        return f"{which} fps, as manifest.json says"
+    some = f"{which} fps for {len(told)} of {len(rates)} clips, as manifest.json says"
+    return f"{some}; that of the {untold} others is {UNTOLD}"
 
 
 def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
@@ -138,7 +136,7 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
     if the statistics do not have the skeleton's full width.
     """
     root, width = Path(path), get_skeleton(skeleton).feature_width
-    catalog = _read_folder(root, "new_joint_vecs", {})
+    catalog = _read_folder(root, "new_joint_vecs", Manifest())
     present = [name for name in ("Mean.npy", "Std.npy") if (root / name).is_file()]
     if not present:
         return catalog
@@ -153,28 +151,32 @@ def read_official(path: str | Path, skeleton: str = "humanml3d") -> Catalog:
     return replace(catalog, statistics=statistics)
 
 
-def _read_folder(root: Path, motions: str, known: dict[str, dict[str, str]], split: str | None = None) -> Catalog:
+def _read_folder(root: Path, motions: str, manifest: Manifest, split: str | None = None) -> Catalog:
     """Read every clip that a split file lists; `motions` names the folder of arrays and so the kind of motion."""
     kind = "joints" if motions == "joints" else "features"
     listed, index = _read_splits(root, motions, split), read_index(root)
     available = set(stems(root / motions, ".npy"))
     texts = set(stems(root / "texts", ".txt")) if (root / "texts").is_dir() else None
+    there = instead_of(root, motions, [f"{name}.npy" for name in listed if name not in available])
+    there |= instead_of(root, "texts", [f"{name}.txt" for name in listed if texts is not None and name not in texts])
     clips, dropped, slips = [], [], list[Slip]()
     for name, split in listed.items():
         lacking = [f"{motions}/{name}.npy"] if name not in available else []
         lacking += [f"texts/{name}.txt"] if texts is not None and name not in texts else []
         if lacking:
-            dropped.append(Dropped(name, split, "missing", f"{' and '.join(lacking)} not found"))
+            found = "".join(f", but {there[file]}" for file in lacking if file in there)
+            dropped.append(Dropped(name, split, "missing", f"{' and '.join(lacking)} not found{found}"))
             continue
         captions, wrong = ([], []) if texts is None else read_captions(root, f"texts/{name}.txt")
         slips += wrong
         dropped += [Dropped(name, split, "caption", str(slip)) for slip in wrong if slip.flaw is UNREADABLE]
         load: dict[str, Any] = {kind: partial(load_array, str(root / motions / f"{name}.npy"))}
         mirrored = name.startswith("M") and name[1:] in listed
-        base, fields = name[1:] if mirrored else name, known.get(name, {})
+        base, fields = name[1:] if mirrored else name, manifest.of(name)
         named = kind == "joints" and not any(fields.get(field) for field in SOURCE_FIELDS)
         origin = index.get(base) or (named_origin(base) if named else None)
         clips.append(Clip(name, split, captions, fields, mirrored=mirrored, origin=origin, **load))
+    slips += manifest.strays(available | set(listed))
     check_readable(root, slips, sum(len(clip.captions) for clip in clips))
     return Catalog(clips, dropped, slips=slips)
 
@@ -203,15 +205,3 @@ def _read_splits(root: Path, motions: str, split: str | None = None) -> dict[str
     if not found:
         raise ValueError(f"{lists}: train.txt, val.txt and test.txt are all empty; list one clip name a line")
     return found
-
-
-def _read_fields(file: Path) -> dict[str, dict[str, str]]:
-    """Read a corpus' own list of clips: what it says of each beside name, length and split."""
-    if not file.is_file():
-        return {}
-    rows = read_json(file, list, fix=MANIFEST)
-    for number, row in enumerate(rows, 1):
-        if wrong := fault(row, {"name": str}):
-            raise refuse(file, f"has a clip, number {number}, that {wrong}", MANIFEST)
-    passed = ("name", "frames", "split")
-    return {row["name"]: {k: str(v) for k, v in row.items() if k not in passed and v is not None} for row in rows}

@@ -8,7 +8,10 @@ from kinema.data.catalog import Clip, Dropped
 from kinema.motion.checks import check_clip
 from kinema.motion.features import extract
 from kinema.motion.mirror import mirror_joints
+from kinema.motion.shapes import ForeignShapeError
 from kinema.motion.skeleton import Skeleton, get_skeleton
+
+WRITE, OR_NOT = "write joints as the message says", ", or take the clips off the lists"
 
 
 def convert(job: tuple[Clip, str, bool]) -> Dropped | list[np.ndarray]:
@@ -25,8 +28,10 @@ def convert(job: tuple[Clip, str, bool]) -> Dropped | list[np.ndarray]:
         return _checked_features(clip, array, skeleton)
     try:
         joints = clip.convention.apply(array, skeleton)
+    except ForeignShapeError as error:
+        return _dropped(clip, str(error), "shape", f"{error.fix or WRITE}{OR_NOT}")
     except ValueError as error:
-        return _dropped(clip, str(error), "shape", "write joints as the message says, or take the clips off the lists")
+        return _dropped(clip, str(error), "shape", f"{WRITE}{OR_NOT}")
     for problem in check_clip(joints, skeleton, skeleton.fps, clip.convention):
         if problem.fatal:
             return _dropped(clip, problem.message, problem.kind, problem.fix)

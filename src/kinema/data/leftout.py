@@ -18,12 +18,12 @@ SHOWN = 5
 
 
 def check_share(name: str, dropped: Sequence[Dropped], clips: int, most: float) -> None:
-    """Raise ValueError if more than the share `most` of a corpus' clips is unusable, with reasons and fixes by kind."""
+    """Raise ValueError if more than the share `most` of a corpus' clips is unusable, with every reason and fix."""
     unusable = [d for d in dropped if d.what == "clip"]
     if len(unusable) <= most * clips or len(unusable) == clips == 0:
         return
     told = []
-    for same in by_kind(unusable).values():
+    for same in by_problem(unusable):
         fix = f"; fix: {same[0].fix}" if same[0].fix else ""
         told.append(f"{len(same)} clips (first, {same[0].name!r}: {same[0].reason}{fix})")
     none = "has no usable clip: " if len(unusable) == clips else ""
@@ -34,12 +34,12 @@ def check_share(name: str, dropped: Sequence[Dropped], clips: int, most: float) 
     )
 
 
-def by_kind(dropped: Sequence[Dropped]) -> dict[str, list[Dropped]]:
-    """Group what was left out by the kind of problem, the most frequent first."""
+def by_problem(dropped: Sequence[Dropped]) -> list[list[Dropped]]:
+    """Group what was left out by what it takes to mend it: the kind of problem and its fix, the most frequent first."""
     found = defaultdict(list)
     for one in dropped:
-        found[one.kind].append(one)
-    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+        found[one.kind, one.fix].append(one)
+    return sorted(found.values(), key=len, reverse=True)
 
 
 def told_of(catalog: Catalog, dropped: Sequence[Dropped], manifest: dict[str, Any], out: Path) -> Iterator[str]:
@@ -49,12 +49,13 @@ def told_of(catalog: Catalog, dropped: Sequence[Dropped], manifest: dict[str, An
     for flaw in READABLE:
         if slips := [str(slip) for slip in catalog.slips if slip.flaw is flaw]:
             shown = f"{'; '.join(slips[:SHOWN])}{'; ...' if len(slips) > SHOWN else ''}"
-            yield f"captions  {len(slips)} {flaw.message}: {shown}; fix: {flaw.fix}"
+            yield f"{flaw.of:<10}{len(slips)} {flaw.message}: {shown}; fix: {flaw.fix}"
     units = {"missing": "listed clips without files", "clip": "unusable clips", "caption": "unreadable captions"}
     for what, unit in units.items():
-        if found := [d for d in dropped if d.what == what]:
+        for found in by_problem([d for d in dropped if d.what == what]):
             shown = "; ".join(f"{d.name} ({' '.join(d.reason.split())})" for d in found[:SHOWN])
-            yield f"left out  {len(found)} {unit}: {shown}{'; ...' if len(found) > SHOWN else ''}"
+            fix = f"; fix: {found[0].fix}" if found[0].fix else ""
+            yield f"left out  {len(found)} {unit}: {shown}{'; ...' if len(found) > SHOWN else ''}{fix}"
     if filtered := [d for d in dropped if d.what == "entry"]:
         first = f"{filtered[0].name}: {filtered[0].reason}"
         yield f"left out  {len(filtered)} entries outside the length filter (first, {first})"

@@ -1,4 +1,4 @@
-"""Read caption files, and say of every line that isn't as it should be which one it is, why, and how to mend it."""
+"""Read caption files, and say of what isn't as it should be which line it is, why, and how to mend it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ LOST = "\ufffd"
 
 @dataclass(frozen=True)
 class Flaw:
-    """Say what can be wrong with a caption line: its name, how grave it is, what such lines are, and the fix."""
+    """Say what can be wrong with a line: its name, how grave it is, what such lines are, the fix, and where it was."""
 
     name: str
     severity: Literal["warning", "info"]
     message: str
     fix: str
+    of: Literal["captions", "manifest"] = "captions"
 
 
 UNREADABLE = Flaw("unreadable captions", "warning", "caption lines cannot be read", "write `caption#tokens#start#end`")
@@ -43,20 +44,27 @@ REPEATED = Flaw(
     "repeated captions", "info", "captions stand twice in one file", "remove one, unless it shall weigh more"
 )
 EMPTY = Flaw("empty lines", "info", "lines between captions are empty", "remove them, or write the caption")
-READABLE = (UNTAGGED, REPLACED, REPEATED, EMPTY)
+STRAY = Flaw(
+    "names of no clip",
+    "warning",
+    "names in manifest.json are of no clip, and what it says of them has no effect",
+    "spell them as the files in joints/, or take them out",
+    "manifest",
+)
+READABLE = (UNTAGGED, REPLACED, REPEATED, EMPTY, STRAY)
 
 
 @dataclass(frozen=True)
 class Slip:
-    """Hold what is wrong with a line of a caption file, named from the corpus' folder on."""
+    """Hold what is wrong with a file, named from the corpus' folder on, and the line, if it is one's."""
 
     file: str
-    line: int
+    line: int | None
     flaw: Flaw
     what: str
 
     def __str__(self) -> str:
-        return f"{self.file}, line {self.line}: {self.what}"
+        return f"{self.file}{'' if self.line is None else f', line {self.line}'}: {self.what}"
 
 
 def read_captions(root: Path, file: str) -> tuple[list[AnnotatedCaption], list[Slip]]:

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from kinema.data.captions import swap_sides
-from kinema.data.catalog import SPLITS, UNTOLD, Dropped
+from kinema.data.catalog import SPLITS, Dropped
 from kinema.data.doctor.finding import Finding, Severity
 from kinema.data.doctor.patient import Patient
 from kinema.data.doctor.sketch import Sketch
-from kinema.data.leftout import by_kind
+from kinema.data.leftout import by_problem
 from kinema.data.slips import READABLE, UNREADABLE
 from kinema.motion.checks import MAX_SPEED
 from kinema.motion.geometry import likely_rate
@@ -84,12 +84,14 @@ def left_out(patient: Patient) -> Iterator[Finding]:
 
 
 def _unusable(dropped: list[Dropped], usable: int) -> Iterator[Finding]:
-    """Tell which clips hold no motion, one finding a kind of problem; one clip in twenty is but a warning."""
-    for kind, found in by_kind(dropped).items():
-        severity: Severity = "error" if len(found) > MANY_MISSING * (len(dropped) + usable) else "warning"
-        items = tuple(map(_item, found))
+    """Tell which clips hold no motion, one finding a problem; a kind that one clip in twenty has is but a warning."""
+    total, kinds = len(dropped) + usable, Counter(d.kind for d in dropped)
+    for found in by_problem(dropped):
+        kind, items = found[0].kind, tuple(map(_item, found))
+        severity: Severity = "error" if kinds[kind] > MANY_MISSING * total else "warning"
         if kind in MISREAD:
-            message = f"{len(found)} of {len(dropped) + usable} clips: {found[0].reason}"
+            first = "" if len({d.reason for d in found}) == 1 else f"first, {found[0].name}: "
+            message = f"{len(found)} of {total} clips: {first}{found[0].reason}"
             yield Finding(severity, kind, message, found[0].fix, tuple(d.name for d in found))
         else:
             fix = "extract these clips again, or take them off the lists"
@@ -235,16 +237,20 @@ def motion(patient: Patient, seen: Sketch) -> Iterator[Finding]:
 
 def _rate(patient: Patient, seen: Sketch) -> Iterator[Finding]:
     """Tell where a folder's rate is known from, and guess another where people don't move like that."""
-    rate = patient.skeleton.fps
+    rate, untold = patient.skeleton.fps, np.array(patient.untold)
+    some = not untold.all()
+    names = tuple(name for name, guessed in zip(patient.names, untold, strict=True) if guessed and some)
     if patient.rate:
-        yield Finding("info", "rate", f"frame rate: {patient.rate}; entries have {rate:g} fps")
-    known = np.isfinite(seen.paces).any() and patient.rate in ("", UNTOLD)
-    guess = likely_rate(float(np.nanmedian(seen.paces)), rate) if known else None
+        yield Finding("info", "rate", f"frame rate: {patient.rate}; entries have {rate:g} fps", items=names)
+    paces = seen.paces[untold]
+    guess = likely_rate(float(np.nanmedian(paces)), rate) if np.isfinite(paces).any() else None
     if guess is not None:
-        message = (
-            f"the clips move as if recorded at about {guess:g} fps and read at {rate:g} (guessed from their speed)"
-        )
-        yield Finding("warning", "rate", message, f"--fps {guess:g} (data.fps={guess:g}) if so, --fps {rate:g} if not")
+        which = f"the {len(names)} clips without a rate" if some else "the clips"
+        message = f"{which} move as if recorded at about {guess:g} fps and read at {rate:g} (guessed from their speed)"
+        fix = f"--fps {guess:g} (data.fps={guess:g}) if so, --fps {rate:g} if not"
+        if some:  # an option would come before what is told of the others
+            fix = f'give them "fps": {guess:g} in manifest.json if so, {rate:g} if not'
+        yield Finding("warning", "rate", message, fix, names)
 
 
 def _severity(count: int, total: int) -> Severity:

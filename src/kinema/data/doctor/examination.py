@@ -13,8 +13,9 @@ from kinema.data.doctor.patient import Patient, from_folder, from_store
 from kinema.data.doctor.sheet import clip_sheet, corpus_sheet
 from kinema.data.doctor.sketch import sketch
 from kinema.data.folders import listed_names, stems
+from kinema.data.manifest import read_clip_fields
 from kinema.data.origin import read_index
-from kinema.data.slips import find_slips
+from kinema.data.slips import Slip, find_slips
 from kinema.data.store import PackedStore
 from kinema.motion.convention import AS_IS, Convention
 from kinema.motion.recording import read_recording
@@ -50,7 +51,7 @@ def diagnose(
     try:
         findings += _lists(folder, prepared=packed) if folder is not None else ()
         if packed:
-            patient = from_store(path, read_index(folder), find_slips(folder)) if folder else from_store(path, {})
+            patient = from_store(path, read_index(folder), _slips(folder)) if folder else from_store(path, {})
         else:
             patient = from_folder(path, convention)
     except (ValueError, FileNotFoundError) as error:
@@ -104,6 +105,16 @@ def _lists(folder: Path, *, prepared: bool) -> Iterator[Finding]:
     if unlisted:
         message = f"{len(unlisted)} files of {motions.name}/ are in no split"
         yield Finding("info", "unlisted files", message, "add them to a split, if they belong to one", unlisted)
+
+
+def _slips(folder: Path) -> list[Slip]:
+    """Say what is wrong with the captions and the manifest of the folder that a store was made from."""
+    lists = [folder / f"{split}.txt" for split in SPLITS]
+    clips = {
+        *stems(folder / "joints", ".npy"),
+        *(name for file in lists if file.is_file() for name in listed_names(file)),
+    }
+    return [*find_slips(folder), *read_clip_fields(folder).strays(clips)]
 
 
 def _listed_takes(folder: Path, where: dict[str, list[str]]) -> Iterator[Finding]:

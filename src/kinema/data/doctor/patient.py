@@ -10,7 +10,7 @@ import numpy as np
 
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped, read_joints_folder, read_official
 from kinema.data.convert import convert
-from kinema.data.folders import stems
+from kinema.data.folders import instead_of, stems, visible_files
 from kinema.data.origin import Origin
 from kinema.data.packing import cut_entries
 from kinema.data.slips import Slip
@@ -29,8 +29,8 @@ class Patient:
 
     `rows` gives a clip's full-width features. `known` holds the clip's fields, `origins` the take that it was cut
     from and where, if the corpus says so; `entries` how many entries of a usable length a clip has. `rate` says where
-    the rate of a folder's joints is known from, `convention` what was told of them, `slips` what is wrong with
-    lines of captions, where they can be read.
+    the rate of a folder's joints is known from, `untold` of which clips it isn't, `convention` what was told of the
+    joints, `slips` what is wrong with lines of captions and with the manifest, where they can be read.
     """
 
     name: str
@@ -45,6 +45,7 @@ class Patient:
     statistics: Statistics | None
     origins: list[Origin | None]
     entries: list[int]
+    untold: list[bool]
     rate: str = ""
     convention: Convention = AS_IS
     slips: Sequence[Slip] = ()
@@ -75,6 +76,7 @@ def from_store(path: Path, index: dict[str, Origin], slips: Sequence[Slip] = ())
         statistics=store.statistics,
         origins=[index.get(base) or store.clip_origin(i) for i, base in enumerate(bases)],
         entries=np.bincount(store.entries["clip"], minlength=store.num_clips).tolist(),
+        untold=[True] * store.num_clips,
         slips=slips,
     )
 
@@ -99,6 +101,7 @@ def from_folder(path: Path, convention: Convention) -> Patient:
         statistics=catalog.statistics,
         origins=[c.origin and c.origin.ending(len(r) + 1) for c, r in zip(clips, rows, strict=True)],
         entries=entries,
+        untold=[c.convention.fps is None for c in clips],
         rate=catalog.rate,
         slips=catalog.slips,
         convention=convention,
@@ -116,6 +119,10 @@ def guess_skeleton(path: Path) -> Skeleton:
         except (ValueError, OSError) as error:
             first = first or ValueError(f"{file}: {error}")
     if first is None:
+        odd = [f"{file[:-4]}.npy" for file in visible_files(folder) if file.lower().endswith((".npy", ".npz"))]
+        if odd:
+            (told,) = instead_of(path, folder.name, odd[:1]).values()
+            raise FileNotFoundError(f"{path} has no {folder.name}/*.npy, but {told}")
         raise FileNotFoundError(
             f"{path} has neither new_joint_vecs/*.npy nor joints/*.npy; is it a corpus folder? Captures are prepared "
             "first (kinema prepare --format bvh, amc or amass), and the store is examined"
