@@ -435,7 +435,7 @@ ROW = "source: real}]"
         (ROW, "source: real, note: is cut off, by a comma}]", "rows real.by a comma is no option"),
         ("kind: real", "kind: reel", "rows real.kind=reel: must be one of real, control, method"),
         ("title: Own", "titel: Own", "own.yaml.titel is no option"),
-        ("title: Own", "", "missing 1 required .*'title'"),
+        ("title: Own", "", "own.yaml: missing a required argument: 'title'"),
         ("label: FID", "better: up, label: FID", "columns fid.better=up: must be one of higher, lower, real, none"),
         (
             "name: own",
@@ -451,7 +451,7 @@ def test_what_is_wrong_with_a_file_of_a_table_is_told_when_it_is_read(old, new, 
     assert load_table("own")["paper"] == {}
     assert old in SOUND
     (tmp_path / "table" / "own.yaml").write_text(SOUND.replace(old, new))
-    with pytest.raises(ValueError, match=rf"conf/table/own\.yaml.*{told}|{told}"):
+    with pytest.raises(ValueError, match=told):
         load_table("own")
 
 
