@@ -94,10 +94,10 @@ def test_what_no_judge_of_a_row_reads_is_not_looked_for(overrides):
     own = [o for o in overrides if not o.startswith("evaluator.tokens")]
     row = [*own, "evaluator=redundant", "evaluator.tokens=clip_b16", "evaluator.tokens_path=/nowhere", "source=real"]
     cfg = compose(row, "evaluate")
-    evaluation._check_reads(cfg, describe(cfg))
+    evaluation.check_reads(cfg, describe(cfg))
     whole = compose([*row, "evaluator.unread=[]"], "evaluate")
     with pytest.raises(FileNotFoundError, match="/nowhere"):
-        evaluation._check_reads(whole, describe(whole))
+        evaluation.check_reads(whole, describe(whole))
 
 
 @pytest.mark.parametrize("key", ["t2m", "clip"])

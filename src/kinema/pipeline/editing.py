@@ -204,8 +204,8 @@ def strayed(motion: Motion, skeleton: Skeleton) -> float:
     An edit keeps rows: those that were extracted from another body's joints have the bones of the skeleton.
     """
     rows = recover_joints(torch.from_numpy(motion.features), skeleton).numpy()
-    placed = Placement.between(rows, motion.joints, skeleton).apply(rows)
-    return float(np.linalg.norm(placed - motion.joints, axis=-1).max())
+    placed, frames = Placement.between(rows, motion.joints, skeleton).apply(rows), min(len(rows), len(motion.joints))
+    return float(np.linalg.norm(placed[:frames] - motion.joints[:frames], axis=-1).max())
 
 
 def largest_seam(motion: Motion) -> tuple[int, float] | None:
