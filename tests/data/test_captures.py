@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pytest
 from tests.motion.captures.conftest import bvh_text
 
 from kinema import cli
+from kinema.data import captures
 from kinema.data.captures import read_captures
 from kinema.data.doctor import diagnose
 from kinema.data.prepare import prepare, prepare_store
 from kinema.data.store import PackedStore
 from kinema.data.synthetic import synthetic_clips
+from kinema.motion.convention import Convention
 from kinema.motion.recording import read_recording
 
 SECONDS = 12
@@ -195,3 +199,35 @@ def write_upturned(file):
     joints = next(iter(synthetic_clips(size=1, seed=3))).joints()
     np.save(file, joints[..., [0, 2, 1]] * [1, -1, 1])
     return file
+
+
+def test_a_corpus_of_captures_is_known_by_its_files_and_not_by_how_a_machine_rounds(folder, tmp_path, monkeypatch):
+    def hashed(root, **options: object) -> str:
+        catalog = read_captures(root, **options)
+        return PackedStore.open(prepare(catalog, tmp_path / str(len(list(tmp_path.iterdir()))), name="mine")).hash
+
+    usual, copied = hashed(folder), tmp_path / "copied"
+    shutil.copytree(folder, copied)
+    read = captures.captured_joints
+    with monkeypatch.context() as patch:
+        patch.setattr(captures, "captured_joints", lambda *a, **k: (read(*a, **k)[0] * 1.0001, read(*a, **k)[1]))
+        assert hashed(copied) == usual
+    assert hashed(folder, scale=1.01) != usual
+    (copied / "a.bvh").write_text(swaying(7))
+    assert hashed(copied) != usual
+
+
+def test_what_a_take_is_read_with_is_part_of_what_it_is(tmp_path):
+    source = captures.Source(
+        tmp_path / "takes/01_01.amc", Convention(mapping=str(tmp_path / "map.yaml")), tmp_path / "smplh"
+    )
+    (tmp_path / "takes").mkdir()
+    (tmp_path / "smplh").mkdir()
+    files = [source.path, source.path.with_name("01.asf"), tmp_path / "smplh/model.npz", tmp_path / "map.yaml"]
+    for file in files:
+        file.write_text(file.name)
+    known = {source.identity()}
+    for file in files:
+        file.write_text("another content")
+        known.add(source.identity())
+    assert len(known) == len(files) + 1

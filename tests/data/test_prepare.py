@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from kinema.data import packing
+from kinema.data import convert, packing
 from kinema.data.catalog import Clip, read_joints_folder
 from kinema.data.prepare import prepare, prepare_store
 from kinema.data.store import PackedStore
@@ -183,6 +183,23 @@ def test_content_hash_knows_content_only(joints_corpus, tmp_path):
     assert len(hashes) == 1
     (roots[1] / "texts" / "a.txt").write_text("something else\n")
     assert PackedStore.open(prepare_store("joints", roots[1], tmp_path / "o", name="two")).hash not in hashes
+
+
+@pytest.mark.parametrize("reader", ["joints", "synthetic"])
+def test_a_corpus_is_the_same_on_a_machine_that_rounds_otherwise(reader, joints_corpus, tmp_path, monkeypatch):
+    source, options = (joints_corpus({"a": ("train", 50)}), {}) if reader == "joints" else (None, {"size": 10})
+    first = PackedStore.open(prepare_store(reader, source, tmp_path / "one", name="x", **options))
+    extract = convert.extract
+    monkeypatch.setattr(convert, "extract", lambda *a, **k: np.nextafter(extract(*a, **k), np.float32(np.inf)))
+    other = PackedStore.open(prepare_store(reader, source, tmp_path / "two", name="x", **options))
+    assert other.manifest["checksums"]["features.f32"] != first.manifest["checksums"]["features.f32"]
+    assert other.hash == first.hash
+    # Another extraction of features is another corpus, and stores made before are not taken for it.
+    monkeypatch.setattr("kinema.data.packing.FEATURES", convert.VERSION + 1)
+    monkeypatch.setattr("kinema.data.prepare.FEATURES", convert.VERSION + 1)
+    later = PackedStore.open(prepare_store(reader, source, tmp_path / "one", name="x", **options))
+    assert later.path != first.path
+    assert later.hash != first.hash
 
 
 def test_several_processes_give_the_same_store(joints_corpus, tmp_path):

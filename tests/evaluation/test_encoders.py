@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -113,6 +114,16 @@ def test_movements_are_pretrained_then_frozen(make, drop_contacts):
     assert torch.equal(losses[0]["loss"], losses[1]["loss"])
     with pytest.raises(ValueError, match="train the decomposition stage anew"):
         make.matching(representation=make.representation()).load_movement(stage)
+
+
+@pytest.mark.parametrize(("shift", "taken"), [(1e-7, True), (1e-2, False)])
+def test_a_movement_encoder_of_another_machine_is_taken_and_one_of_another_corpus_is_not(make, shift, taken):
+    trained, here = make.representation(), make.representation()
+    here.mean += shift * here.std
+    here.std *= 1 - shift
+    stage = DecompositionAutoencoder(trained, width=12, latent_dim=10)
+    with contextlib.nullcontext() if taken else pytest.raises(ValueError, match="train the decomposition stage anew"):
+        make.matching(representation=here).load_movement(stage)
 
 
 def test_negatives_are_never_their_own_positives_unless_asked_for():

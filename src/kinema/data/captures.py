@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,10 +15,12 @@ from jaxtyping import Float
 from kinema.data.captions import AnnotatedCaption, parse_line
 from kinema.data.catalog import SPLITS, Catalog, Clip, Dropped
 from kinema.data.folders import visible_files
+from kinema.data.integrity import known_checksum
 from kinema.data.origin import CUT, Origin
 from kinema.data.splitting import split_of
 from kinema.files.csv import read_csv
 from kinema.motion.captures.amass import BodyModels, read_amass
+from kinema.motion.captures.asf import find_asf
 from kinema.motion.captures.capture import Capture
 from kinema.motion.captures.mapping import read_mapping
 from kinema.motion.captures.reading import READERS, Understood, captured_joints, read_capture
@@ -51,6 +53,21 @@ class Source:
         if self.path.suffix.lower() in READERS:
             return read_capture(self.path)
         return read_amass(self.path, None if self.models is None else BodyModels(self.models))
+
+    def files(self) -> Iterator[Path]:
+        """Name all files that its joints depend on."""
+        yield self.path
+        if self.path.suffix.lower() == ".amc":
+            yield find_asf(self.path)
+        if self.models is not None:
+            yield from sorted(self.models.rglob("*.npz"))
+        if self.told.mapping is not None:
+            yield Path(self.told.mapping)
+
+    def identity(self) -> str:
+        """Name all that its joints depend on, by content: another folder of the same files is the same."""
+        contents = " ".join(known_checksum(file) for file in self.files())
+        return f"captures {VERSION} {contents} {replace(self.told, mapping=None)}"
 
 
 @dataclass(frozen=True)
@@ -120,7 +137,7 @@ def _find_takes(root: Path, suffix: str) -> dict[str, Path]:
 
 def _clips(name: str, source: Source, size: int, cuts: list[Cut] | None, split: str) -> Iterator[Clip]:
     """Cut one take: as the table says, or piece by piece."""
-    rate = HUMANML3D.fps
+    rate, made_from = HUMANML3D.fps, source.identity()
     found: dict[tuple[int, int], list[AnnotatedCaption]] = {}
     if cuts is None:
         found = {(start, min(start + CUT, size)): [] for start in range(0, size, CUT)}
@@ -136,6 +153,7 @@ def _clips(name: str, source: Source, size: int, cuts: list[Cut] | None, split: 
             {"take": name},
             joints=partial(_piece, source, first, last),
             origin=Origin(name, first, last),
+            made_from=f"{made_from} {first} {last}",
         )
 
 

@@ -35,6 +35,7 @@ class Clip:
     and `features` (-> (T, D) full width) is given; it must be picklable (a `functools.partial` of a module's function)
     to be loaded by processes.
     `fields` holds what is known of the clip, e.g. source, label, licence; `origin` its take and frames there.
+    `made_from` names all that joints are computed from (a capture's files, a seed) where they are not read as they are.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Clip:
     mirrored: bool = False
     origin: Origin | None = None
     convention: Convention = AS_IS
+    made_from: str = ""
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:

@@ -33,7 +33,7 @@ def check_files(folder: Path, manifest: dict[str, Any]) -> None:
             state = "is missing" if found is None else f"has {found} bytes, {wanted} expected"
             raise DamagedError(f"packed corpus {folder}: {name} {state}; {FIX}")
     for name, wanted in manifest["checksums"].items():
-        if name != FEATURES and _known_checksum(folder / name) != wanted:
+        if name != FEATURES and known_checksum(folder / name) != wanted:
             raise changed(folder, name)
     if _stamp(folder) != _last_stamp(folder):
         # A copy, say, or a store of before there were stamps: seconds, once.
@@ -44,7 +44,7 @@ def check_files(folder: Path, manifest: dict[str, Any]) -> None:
 def check_features(folder: Path, manifest: dict[str, Any]) -> None:
     """Read the features, whatever their stamp says, and renew it; raises ValueError if they aren't those written."""
     stamp = _stamp(folder)
-    if _known_checksum(folder / FEATURES) != manifest["checksums"][FEATURES]:
+    if known_checksum(folder / FEATURES) != manifest["checksums"][FEATURES]:
         raise changed(folder, FEATURES)
     write_stamp(folder, stamp)
 
@@ -79,7 +79,7 @@ def _last_stamp(folder: Path) -> dict[str, int] | None:
         return None
 
 
-def _known_checksum(file: Path) -> str:
+def known_checksum(file: Path) -> str:
     """Compute a file's checksum once in a process, as long as the file is the same."""
     status = os.stat(file)
     return _checksum(str(file), status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)

@@ -14,6 +14,7 @@ import numpy as np
 
 from kinema.data.captions import AnnotatedCaption
 from kinema.data.catalog import SPLITS, Clip, Dropped
+from kinema.data.convert import VERSION as FEATURES
 from kinema.data.integrity import checksum, write_stamp
 from kinema.data.origin import Origin, tabulate
 from kinema.data.store import CAPTION, CLIP, ENTRY, FORMAT
@@ -42,7 +43,8 @@ class StoreWriter:
         self._origins: list[Origin | None] = []
         self._dropped: list[Dropped] = []
         self._features_hash = hashlib.sha256()
-        self._index_hash = hashlib.sha256(f"kinema store {FORMAT} {skeleton.name}".encode())
+        self._motion_hash = hashlib.sha256()
+        self._index_hash = hashlib.sha256(f"kinema store {FORMAT} {FEATURES} {skeleton.name}".encode())
         self._file = (folder / "features.f32").open("wb")
 
     def close(self) -> None:
@@ -58,11 +60,15 @@ class StoreWriter:
         """Note what was left out."""
         self._dropped.append(dropped)
 
-    def add(self, clip: Clip, features: np.ndarray) -> None:
-        """Append a clip's full-width features, and its entries: itself, and its time-tagged parts."""
+    def add(self, clip: Clip, features: np.ndarray, digest: bytes) -> None:
+        """Append a clip's full-width features, and its entries: itself, and its time-tagged parts.
+
+        `digest` is that of the motion that the features were made from.
+        """
         rows = np.ascontiguousarray(features, dtype="<f4")
         self._file.write(rows.data)
         self._features_hash.update(rows.data)
+        self._motion_hash.update(digest)
         split = SPLITS.index(clip.split)
         self._clips.append((self.frames, len(rows), split, clip.mirrored, self._intern(clip.name)))
         self._fields.append(clip.fields)
@@ -120,9 +126,12 @@ class StoreWriter:
         return 4 * self.skeleton.feature_width * frames
 
     def _content_hash(self, own: Statistics | None) -> str:
-        """Hash features, index, captions and skeleton, and statistics where they are not a function of these."""
+        """Hash motion, index, captions and skeleton, and statistics where they are not a function of these.
+
+        Of the motion that was read, not of the features: those differ in the last bit between kinds of CPU.
+        """
         whole = self._index_hash.copy()
-        whole.update(self._features_hash.digest())
+        whole.update(self._motion_hash.digest())
         if own is not None:
             whole.update(own.digest().encode())
         return whole.hexdigest()

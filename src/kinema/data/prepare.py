@@ -18,11 +18,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kinema.atomic import staging_folder
 from kinema.data.catalog import Catalog, Clip, Dropped
-from kinema.data.convert import convert
+from kinema.data.convert import VERSION as FEATURES
+from kinema.data.convert import Converted, convert
 from kinema.data.folders import walk
 from kinema.data.leftout import MAX_UNUSABLE, check_share, told_of
 from kinema.data.origin import index_file
@@ -105,7 +104,7 @@ def prepare_store(
     if takes(reader, "skeleton"):
         reader_options["skeleton"] = skeleton
     module, _, _ = READERS[reader].partition(":")
-    versions = [FORMAT, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
+    versions = [FORMAT, FEATURES, VERSION, getattr(importlib.import_module(module), "VERSION", 1)]
     asked = [versions, reader, options, max_missing, max_unusable, reader_options]
     asked.append(list_files(source) if listing is None else listing)
     asked += [_stamp(value) for value in reader_options.values() if isinstance(value, str) and Path(value).is_file()]
@@ -194,10 +193,11 @@ def _write(
             if isinstance(made, Dropped):
                 writer.drop(made)
                 continue
-            writer.add(clip, made[0])
-            if len(made) == 2:
+            writer.add(clip, made.features, made.digest)
+            if made.mirrored is not None:
                 captions = [caption.mirrored() for caption in clip.captions]
-                writer.add(replace(clip, name=f"M{clip.name}", captions=captions, mirrored=True), made[1])
+                image = replace(clip, name=f"M{clip.name}", captions=captions, mirrored=True)
+                writer.add(image, made.mirrored, made.digest)
         unread = sum(dropped.what == "clip" for dropped in catalog.dropped)  # by the reader: no clips of the catalog
         check_share(writer.name, writer.dropped, len(catalog) + unread, max_unusable)
         return writer.finish(catalog.statistics, options)
@@ -222,7 +222,7 @@ def _unmirrored(clip: Clip, taken: set[str]) -> bool:
     return not clip.mirrored and f"M{clip.name}" not in taken
 
 
-def _convert_all(jobs: list[tuple[Clip, str, bool]], processes: int) -> Iterator[Dropped | list[np.ndarray]]:
+def _convert_all(jobs: list[tuple[Clip, str, bool]], processes: int) -> Iterator[Dropped | Converted]:
     """Do the jobs in order, in this process or in several."""
     if processes <= 1:
         yield from map(convert, jobs)

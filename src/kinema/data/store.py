@@ -98,7 +98,7 @@ class PackedStore:
 
     @property
     def hash(self) -> str:
-        """The short hash of the content: features, index, captions, skeleton."""
+        """The short hash of motion as it was read, index, captions and skeleton: the same on every machine."""
         return self.manifest["hash"]
 
     @property

@@ -17,6 +17,9 @@ from kinema.types import frame_mask
 
 VARIANTS = ("raw", "published")
 
+ROUNDED = 1e-4
+"""Deviations by which statistics of one corpus may differ, computed on two kinds of machine."""
+
 
 @buildable
 class Representation(nn.Module):
@@ -98,6 +101,14 @@ class Representation(nn.Module):
         self._require_fitted()
         used = Statistics(self.mean.cpu().numpy(), self.std.cpu().numpy())
         return {"kind": self.kind, "skeleton": self.skeleton_name, "variant": self.variant, "digest": used.digest()}
+
+    def agrees(self, other: Representation) -> bool:
+        """Say whether the numbers mean the same; statistics of one corpus may differ as machines round them."""
+        mine, theirs = self.identity(), other.identity()
+        if any(mine[key] != theirs[key] for key in ("kind", "skeleton", "variant")):
+            return False
+        shifts, ratios = (self.mean - other.mean.to(self.mean)) / self.std, other.std.to(self.std) / self.std
+        return bool((shifts.abs() < ROUNDED).all() and ((ratios - 1).abs() < ROUNDED).all())
 
     @property
     def fitted(self) -> bool:

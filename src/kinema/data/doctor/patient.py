@@ -137,9 +137,9 @@ def _load(catalog: Catalog, skeleton: Skeleton) -> tuple[list[Clip], list[np.nda
         if isinstance(made, Dropped):
             dropped.append(made)
             continue
-        kept, filtered = cut_entries(clip, len(made[0]), skeleton, skeleton.fps)
+        kept, filtered = cut_entries(clip, len(made.features), skeleton, skeleton.fps)
         clips.append(clip)
-        rows.append(made[0])
+        rows.append(made.features)
         entries.append(len(kept))
         dropped += filtered
     return clips, rows, entries, dropped

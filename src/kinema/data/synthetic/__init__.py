@@ -4,12 +4,9 @@ Bodies of varied proportions move by forward kinematics; legs reach the foothold
 stand. Results on it say that the machinery works, never how good a method is.
 """
 
-from kinema.data.synthetic.corpus import synthetic_catalog, synthetic_clips, synthetic_joints
+from kinema.data.synthetic.corpus import VERSION, synthetic_catalog, synthetic_clips, synthetic_joints
 from kinema.data.synthetic.folders import write_joints_folder, write_official_folder
 from kinema.data.synthetic.plan import ACTIONS
-
-VERSION = 1
-"""Raised when the same seed gives other clips, so that stores made before are not taken for them."""
 
 __all__ = [
     "ACTIONS",

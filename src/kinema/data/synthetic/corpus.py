@@ -23,6 +23,9 @@ from kinema.motion.skeleton import SKELETONS, get_skeleton
 from kinema.options import OneOf, Seed, Share
 from kinema.seeds import stream
 
+VERSION = 1
+"""Raised when the same seed gives other clips, so that stores made before are not taken for them."""
+
 SEQUENCES = 0.2
 """Share of clips that show two actions, one after the other."""
 CAPTIONS = 3
@@ -126,6 +129,7 @@ def synthetic_clips(
                 shown.captions,
                 {"action": shown.action, "style": shown.style},
                 joints=partial(synthetic_joints, seed, index, skeleton),
+                made_from=f"synthetic {VERSION} {seed} {index} {skeleton}",
             )
 
 

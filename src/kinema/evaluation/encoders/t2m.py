@@ -106,11 +106,11 @@ class MatchingEvaluator(TextMotionEvaluator):
 
     def load_movement(self, stage: DecompositionAutoencoder) -> MatchingEvaluator:
         """Take over the pre-trained movement encoder; it must read the same representation."""
-        mine, theirs = self.representation.identity(), stage.representation.identity()
-        if mine != theirs or self.drop_contacts != stage.drop_contacts:
+        if not self.representation.agrees(stage.representation) or self.drop_contacts != stage.drop_contacts:
             raise ValueError(
-                f"the movement encoder was pre-trained on {theirs} (drop_contacts={stage.drop_contacts}), this "
-                f"evaluator reads {mine} (drop_contacts={self.drop_contacts}); train the decomposition stage anew"
+                f"the movement encoder was pre-trained on {stage.representation.identity()} (drop_contacts="
+                f"{stage.drop_contacts}), this evaluator reads {self.representation.identity()} (drop_contacts="
+                f"{self.drop_contacts}); train the decomposition stage anew"
             )
         self.movement_encoder.load_state_dict(stage.movement_encoder.state_dict())
         return self
