@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import describe, run_evaluation
 from kinema.experiments.run import run_stage
+from kinema.pipeline import TextToMotion
 from kinema.runs.lines import read_lines
 from kinema.runs.weights import load, read_meta
 from kinema.training.fit import Machine
@@ -194,3 +195,19 @@ def test_debug_runs_are_short_and_kept_apart(overrides, tmp_path):
     assert not (tmp_path / "runs").exists()
     links = json.loads((Path(run.path) / "upstream.json").read_text())
     assert all((run.path / link / "weights.safetensors").exists() for link in links.values())
+
+
+def test_two_judges_are_shown_the_same_motion_and_it_is_generated_once(brief, tmp_path, monkeypatch):
+    asked = [*brief, "source=generation", "scale.protocol.replications=1", "keep_motions=true"]
+    one = compose([*asked, f"paths.cache={tmp_path}/cache"], "evaluate")
+    first = judged(one)
+    again = compose([*asked, f"paths.cache={tmp_path}/cache", "evaluator=redundant", "lift=true"], "evaluate")
+    alone = judged(compose([*asked, "keep_motions=false", "evaluator=redundant", "lift=true"], "evaluate"))
+    shutil.rmtree(describe(again).folder.path)  # the same row
+    with monkeypatch.context() as patch:
+        patch.setattr(TextToMotion, "sample", None)  # any work would fail
+        second = judged(again)
+    assert second == alone
+    calls = {name: value for name, value in first.items() if name.endswith(("_calls", "_rows"))}
+    assert calls
+    assert calls.items() <= second.items()

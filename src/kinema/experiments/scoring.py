@@ -22,14 +22,17 @@ from kinema.evaluation.controlled import Controlled
 from kinema.evaluation.oracle import Oracle
 from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
+from kinema.evaluation.remembered import Remembered
 from kinema.evaluation.training_set import TrainingSet
 from kinema.experiments.config import SOURCES, plain
 from kinema.experiments.evaluation import Row
+from kinema.experiments.identity import fingerprint
 from kinema.experiments.instantiate import cached, encode_captions, machine_of, read_model, text_encoder
 from kinema.experiments.sampling import build_sampling, sampling_spec
 from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
+from kinema.pipeline.identity import fingerprint as model_fingerprint
 from kinema.text.cache import CachedTextEncoder
 from kinema.types import MotionBatch
 
@@ -172,7 +175,8 @@ class Scorer:
                 return sources.Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
             if cfg.task == "control":
                 return Controlled(model, **plain(cfg.control), sampling=sampling)
-            return sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
+            generated = sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
+            return self._remembered(generated) if cfg.keep_motions else generated
         ((part, run),) = row.subject.items()
         tokenizer = read_model(run, part).to(self.device)
         if name == "reconstruction":
@@ -182,6 +186,12 @@ class Scorer:
         if tokenizer.space.kind == "codes":
             return sources.NoiseCodes(tokenizer, self._code_shares(tokenizer))
         return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))
+
+    def _remembered(self, source: sources.Generated) -> Remembered:
+        """Keep motions below the cache, by all that they depend on but what is asked."""
+        cfg = self.cfg
+        how = [model_fingerprint(source.model), sampling_spec(cfg), cfg.lengths, cfg.precision]
+        return Remembered(source, Path(cfg.paths.cache) / "motions" / fingerprint(how))
 
     def _text(self, *splits: str) -> CachedTextEncoder:
         """Return the cached text encoder: no caption is encoded twice, not over twenty replications."""
