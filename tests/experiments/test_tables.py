@@ -17,9 +17,10 @@ from kinema.experiments.config import CONF, compose
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.jobs import Job, JobsFailedError, missing_jobs
 from kinema.experiments.multirun import run_multiruns, steps, sweeps
+from kinema.experiments.provenance import provenance
 from kinema.experiments.request import Request
 from kinema.experiments.table_files import load_table
-from kinema.experiments.tables import TableRow, meant_for, plan, provenance, render_table, with_borrowed
+from kinema.experiments.tables import TableRow, meant_for, plan, render_table, with_borrowed
 from kinema.report.cells import grid
 
 FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
@@ -364,7 +365,7 @@ def test_one_method_under_two_judges(micro_tables, tmp_path):
     for row in rows:
         run_evaluation(row.cfg)
     lifted, mardm, real = plan(described, [*micro_tables, "scale.protocol.replications=1"])
-    facts = provenance([lifted, mardm, real], COMMAND)
+    facts = provenance([lifted.said, mardm.said, real.said], COMMAND)
     both = "Real motion lifted, all dims; MARDM-SiT lifted, all dims"
     assert set(facts["evaluators"]) == {both, "Real motion, essential dims"}
     assert facts["statistics"][both]["evaluator"]["kind"] == "redundant"
@@ -373,6 +374,20 @@ def test_one_method_under_two_judges(micro_tables, tmp_path):
     assert mardm.lines[0]["metrics"]["n"] == real.lines[0]["metrics"]["n"]
     render_table(described, [lifted, mardm, real], tmp_path, COMMAND)
     assert "redundant dims recomputed from the joints" in (tmp_path / "table.md").read_text()
+
+
+def test_a_table_of_two_judges_of_one_name_says_so(complete, table, micro_tables, tmp_path):
+    rows = plan(table, micro_tables)
+    first = next(row for row in rows if row.complete)
+    file = first.place.folder.path / "replications.jsonl"
+    before = file.read_text()
+    weights = first.lines[0]["provenance"]["evaluators"]["matching"]
+    file.write_text(before.replace(weights, "0123456789ab"))
+    try:
+        assert "scored by evaluators of different weights" in rendered(table, micro_tables, tmp_path)["table.md"]
+    finally:
+        file.write_text(before)
+    assert "different weights" not in rendered(table, micro_tables, tmp_path)["table.md"]
 
 
 TABLES = sorted(file.stem for file in (CONF / "table").glob("*.yaml"))

@@ -16,6 +16,7 @@ from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.evaluation import Row, describe
+from kinema.experiments.provenance import Said, other_judges, provenance
 from kinema.experiments.replications import EACH, over_replications, over_seeds
 from kinema.experiments.spent import spent
 from kinema.experiments.stages import stages
@@ -62,6 +63,11 @@ class TableRow:
     def label(self) -> str:
         """Its label, and its seed where it has one of its own."""
         return self.spec["label"] if self.seed is None else f"{self.spec['label']} (seed {self.seed})"
+
+    @property
+    def said(self) -> Said:
+        """What its results say of themselves."""
+        return Said(self.spec["label"], self.label, self.lines)
 
     @property
     def lines(self) -> list[dict[str, Any]]:
@@ -165,7 +171,8 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
     filled["comparable"] = some.data.paper == panel and some.scale.name == "paper"
     filled["corpus"] = corpus_label(some)
     filled["scale"] = some.scale.name
-    filled["provenance"] = provenance(rows, command)
+    said = [row.said for row in rows if row.complete]
+    filled["provenance"] = provenance(said, command)
     filled["runs"] = run_cards(rows)
     parts = [
         Parts(group[0].spec, [row.lines for row in group])
@@ -173,7 +180,7 @@ def render_table(table: dict[str, Any], rows: list[TableRow], out: Path, command
         if results[key] and "metrics" not in group[0].spec
     ]
     filled["breakdowns"] = [*sections(filled.pop("beside", []), filled["rows"]), *breakdowns(parts)]
-    filled["footnotes"] = [*table.get("footnotes", []), *footnotes(parts)]
+    filled["footnotes"] = [*table.get("footnotes", []), *footnotes(parts), *other_judges(said)]
     motions = {
         key: read_samples(row.place.folder.path / "samples.npz")
         for key, (row, *_) in shown.items()
@@ -203,41 +210,6 @@ def with_borrowed(rows: list[TableRow], results: Results) -> Results:
                 )
             found[key] = [{**line, **more} for line, more in zip(own, taken, strict=True)]
     return found
-
-
-def provenance(rows: list[TableRow], command: str) -> dict[str, Any]:
-    """Collect what the results of all rows say of themselves; where rows differ, row by row."""
-    complete = [row for row in rows if row.complete]
-    lines = [line["provenance"] for row in complete for line in row.lines]
-    if not lines:
-        return {"command": command}
-    said = {row.spec["label"]: row.lines[0]["provenance"] for row in complete}
-    found = {
-        key: _agreed({label: facts[key] for label, facts in said.items()})
-        for key in ("corpus", "statistics", "words", "tokens", "protocol", "device")
-    }
-    found["evaluators"] = _agreed({label: _evaluators(facts) for label, facts in said.items()})
-    found["text encoder"] = sorted({line["text_encoder"] for line in lines if line["text_encoder"]})
-    found["sampling"] = {label: facts["sampling"] for label, facts in said.items() if facts["sampling"]}
-    found["seeds"] = sorted({line["seed"] for line in lines})
-    found["versions"] = sorted({", ".join(f"{k} {v}" for k, v in sorted(line["versions"].items())) for line in lines})
-    return {**found, "command": command}
-
-
-def _evaluators(facts: dict[str, Any]) -> dict[str, str]:
-    return {name: f"{facts['runs'][name]}, weights {weights}" for name, weights in facts["evaluators"].items()}
-
-
-def _agreed(values: dict[str, Any]) -> Any:
-    """Return the value of all rows, or where they differ each value under the labels of its rows."""
-    groups: list[tuple[Any, list[str]]] = []
-    for label, value in values.items():
-        group = next((labels for other, labels in groups if other == value), None)
-        if group is None:
-            groups.append((value, [label]))
-        else:
-            group.append(label)
-    return groups[0][0] if len(groups) == 1 else {"; ".join(labels): value for value, labels in groups}
 
 
 def _results(group: Group, asked: Collection[str]) -> list[dict[str, Any]] | None:

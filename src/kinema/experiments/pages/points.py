@@ -7,8 +7,9 @@ from typing import Any
 from omegaconf import DictConfig
 
 from kinema.experiments.launching import run_missing
+from kinema.experiments.provenance import provenance
 from kinema.experiments.request import Request
-from kinema.experiments.tables import TableRow, plan, provenance
+from kinema.experiments.tables import TableRow, plan
 from kinema.runs.console import console
 
 
@@ -27,7 +28,7 @@ def score(
     for row in rows:
         if not row.complete:
             console.print(f"[yellow]empty[/]     no complete results for {row.spec['label']}")
-    return rows, provenance(rows, request.command)
+    return rows, provenance([row.said for row in rows if row.complete], request.command)
 
 
 def some_config(rows: list[TableRow]) -> DictConfig:
