@@ -64,3 +64,6 @@ def test_several_seeds_count_as_one_result_each():
     row = Parts(SPEC, [[line(2000, 1600, 600), line(2000, 1400, 600)], [line(2000, 1000, 600)] * 2])
     (near,) = breakdowns([row])
     assert [[cell["n"] for cell in row["results"]] for row in near["rows"]] == [[2000] * 2, [1500, 1000], [600] * 2]
+    assert [row["seeds"] for row in near["rows"]] == [2] * 3
+    (alone,) = breakdowns([Parts(row.spec, row.seeds[:1])])
+    assert [row["seeds"] for row in alone["rows"]] == [None] * 3

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
+from kinema.data.synthetic import synthetic_clips, write_joints_folder
 from kinema.experiments import identity
 from kinema.experiments.config import compose
 from kinema.experiments.evaluation import describe
@@ -178,6 +180,25 @@ def test_evaluations_have_an_identity_too(micro):
         assert row(override) == plain, override
     # Real motion is the same whoever generates beside it.
     assert row("source=real", "method=mardm_ddpm") == row("source=real")
+
+
+def test_a_row_is_another_where_labels_or_takes_are_others(tmp_path):
+    """Oracles, breakdowns and what counts as memorised rest on them; what is trained doesn't."""
+    corpus = write_joints_folder(synthetic_clips(size=40, seed=2), tmp_path / "corpus")
+    asked = ["data=custom", f"data.source={corpus}", f"paths.stores={tmp_path}/stores", f"paths.runs={tmp_path}/runs"]
+
+    def names() -> tuple[str, str]:
+        row = describe(compose([*asked, "source=real"], "evaluate"))
+        return row.folder.path.name, row.runs["matching"].name
+
+    (corpus / "manifest.json").unlink(missing_ok=True)
+    found = [names()]
+    clips = sorted(file.stem for file in (corpus / "joints").iterdir())
+    for style in ("happy", "sad"):
+        (corpus / "manifest.json").write_text(json.dumps([{"name": name, "label": style} for name in clips]))
+        found.append(names())
+    assert len({row for row, _ in found}) == 3
+    assert len({run for _, run in found}) == 1
 
 
 def folder(stage: str, *overrides: str) -> Path:

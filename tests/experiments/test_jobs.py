@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from kinema.experiments.config import CONF
-from kinema.experiments.jobs import EVALUATE, Job, JobsFailedError, missing_jobs, run_jobs
+from kinema.experiments import multirun
+from kinema.experiments.config import CONF, compose
+from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError, missing_jobs, run_jobs
 from kinema.experiments.table_files import load_table
 from kinema.experiments.tables import plan
 from kinema.runs.folder import RunFolder
@@ -87,3 +88,27 @@ def test_what_another_process_works_on_comes_last(tmp_path):
     with RunFolder(held.makes).lock(), pytest.raises(JobsFailedError) as caught:
         run_jobs([held, free], 1)
     assert list(caught.value.failed) == [free, held]
+
+
+def test_what_is_of_scoring_alone_is_not_told_to_what_trains(micro_tables, tmp_path, monkeypatch):
+    scoring = ["keep_motions=true", "lock_feet=true", "precision=bfloat16", f"evaluators.t2m={tmp_path}"]
+    scoring += ["generator.sampling.guidance=2", "replications=[0]"]
+    table = {**load_table("table5"), "rows": [row for row in load_table("table5")["rows"] if row["key"] == "mardm_sit"]}
+    shared = [*micro_tables, f"paths.runs={tmp_path}", *scoring]
+    rows = plan(table, shared)
+    jobs = missing_jobs(rows, shared)
+    training = [job for job in jobs if job.command == TRAIN]
+    assert {job.overrides[0] for job in training} >= {"stage=tokenizer", "stage=generator"}
+    for job in training:
+        assert not set(job.overrides) & set(scoring)
+        compose(list(job.overrides), "train")
+    (scored,) = (job for job in jobs if job.command == EVALUATE)
+    assert set(scoring) <= set(scored.overrides)
+    called = []
+    monkeypatch.setattr(multirun, "_run", lambda words, _: called.append(words))
+    monkeypatch.setattr(Job, "unfinished", lambda _: None)
+    multirun.run_multiruns(missing_jobs(rows), shared)
+    assert {words[0] for words in called} == {"train", "evaluate"}
+    assert all(
+        set(scoring) <= set(words) if words[0] == "evaluate" else not set(scoring) & set(words) for words in called
+    )

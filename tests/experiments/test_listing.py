@@ -189,13 +189,30 @@ def test_an_evaluation_that_names_no_generator_is_nobodys(provenance, runs, caps
     assert "fid" not in said(capsys, "runs", "mmm").splitlines()[1]
 
 
-@pytest.mark.parametrize("other", [{"lengths": "predicted"}, {"protocol": {"split": "val"}}])
+@pytest.mark.parametrize(
+    "other",
+    [{"lengths": "predicted"}, {"protocol": {"split": "val"}}, {"statistics": {"evaluator": {"kind": "redundant"}}}],
+)
 def test_a_generator_has_the_scores_of_the_tables_rows_alone(other, runs, capsys):
     run = "mmm-own-tiny-s0-000000000004"
     make(runs, f"generator/{run}")
     usual = {"runs": {"generator": run}, "lengths": "real", "protocol": {"split": "test"}}
+    usual |= {"statistics": {"evaluator": {"kind": "essential"}}}
     for digest, fid, provenance in (("0123456789aa", 1.0, usual), ("0123456789ab", 7.0, usual | other)):
         folder = make(runs, f"evaluation/generation-mmm-tiny-s0-{digest}")
+        line = {"replication": 0, "metrics": {"fid": fid}, "breakdowns": {}, "provenance": provenance, "seconds": 1.0}
+        append_line(folder.path / "replications.jsonl", line)
+    assert "fid 1.000" in next(line for line in said(capsys, "runs").splitlines() if f"generator/{run}" in line)
+
+
+def test_a_method_that_ends_motion_itself_is_scored_by_its_own_lengths(runs, capsys):
+    run = "t2m_gpt-own-tiny-s0-000000000004"
+    make(runs, f"generator/{run}")
+    for digest, fid, lengths in (("0123456789aa", 1.0, "predicted"), ("0123456789ab", 7.0, "real")):
+        folder = make(runs, f"evaluation/generation-t2m_gpt-tiny-s0-{digest}")
+        config = yaml.safe_load((folder.path / "config.yaml").read_text()) | {"method": {"lengths": "predicted"}}
+        (folder.path / "config.yaml").write_text(yaml.safe_dump(config))
+        provenance = {"runs": {"generator": run}, "lengths": lengths}
         line = {"replication": 0, "metrics": {"fid": fid}, "breakdowns": {}, "provenance": provenance, "seconds": 1.0}
         append_line(folder.path / "replications.jsonl", line)
     assert "fid 1.000" in next(line for line in said(capsys, "runs").splitlines() if f"generator/{run}" in line)

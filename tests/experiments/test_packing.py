@@ -99,12 +99,14 @@ def test_figures_are_those_of_the_run_s_own_sampling(run, micro, tmp_path):
     shutil.copytree(run, own)
     cfg = compose([*micro, "method=mardm_sit", "source=generation"], "evaluate")
     sampling = {**compose([*micro, "method=mardm_sit"]).generator.sampling}
-    for name, changed, fid in (("one", {}, 2.0), ("two", {"guidance": 9.0}, 1.0)):
+    other = {"statistics": {"evaluator": {"kind": "redundant"}}}
+    for name, changed, rest, fid in (("1", {}, {}, 2.0), ("2", {"guidance": 9.0}, {}, 1.0), ("3", {}, other, 7.0)):
         folder = tmp_path / "evaluation" / f"generation-{name}"
         folder.mkdir(parents=True)
         (folder / "config.yaml").write_text(OmegaConf.to_yaml(cfg, resolve=True))
         write_json(folder / "status.json", {"state": "done"})
         rests = {"runs": {"generator": run.name}, "sampling": sampling | changed, "protocol": {"split": "val"}}
+        rests |= rest
         line = {"metrics": {"fid": fid, "r1": 0.5}, "breakdowns": {}, "provenance": rests, "seconds": 1.0}
         for replication in range(2):
             append_line(folder / "replications.jsonl", {"replication": replication, **line})

@@ -67,7 +67,8 @@ def test_jobs_are_joined_into_as_few_multiruns_as_their_differences_allow():
 def test_replications_are_divided_among_jobs_and_none_is_scored_twice(micro, tmp_path):
     own = [*micro, "scale.protocol.replications=3", "scale.protocol.seed=11"]
     rows = plan(small("real"), own)
-    run_evaluation(compose([*own, "source=real", "replications=[1]"], "evaluate"))
+    row = run_evaluation(compose([*own, "source=real", "replications=[1]"], "evaluate"))
+    assert row.folder.status["state"] == "partial"
     jobs = [one for one in missing_jobs(rows, own, replications=1) if one.command == EVALUATE]
     assert [one.overrides[-1] for one in jobs] == ["replications=[0]", "replications=[2]"]
     whole = Job(EVALUATE, (*own, "source=real"), rows[0].place.folder.path)

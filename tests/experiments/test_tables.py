@@ -340,6 +340,13 @@ def test_an_oracle_stands_where_the_corpus_has_labels(micro_tables, tmp_path):
         )
 
 
+def test_a_given_run_has_no_further_seeds(micro_tables, table, tmp_path):
+    rows = [row for row in table["rows"] if row["key"] == "mardm_sit"]
+    given = {**table, "rows": [{**rows[0], "overrides": [f"run={tmp_path}/generator/imported"]}]}
+    assert [row.seed for row in plan({**table, "rows": rows}, micro_tables, 3)] == [None, 1, 2]
+    assert [row.seed for row in plan(given, micro_tables, 3)] == [None]
+
+
 def test_a_row_borrows_metrics_replication_by_replication():
     """MARDM Table 1 has reconstruction and generation in one row."""
     borrow = {"row": "recon", "metrics": {"recon_fid": "fid", "dead": "dead_codes"}}

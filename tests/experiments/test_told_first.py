@@ -46,6 +46,8 @@ WRONG = [
     ("evaluate", ["evaluator.words=our_vab", "evaluator.words_path=/nowhere"], "/nowhere"),
     ("evaluate", ["source=real", "precision=bfloat16"], "source=real has none; leave it out"),
     ("evaluate", ["precision=bf16"], "must be one of float32, bfloat16"),
+    ("evaluate", ["task=editing", "keep_motions=true"], "keep_motions=true with task=editing"),
+    ("evaluate", ["task=editing", "lengths=predicted"], "lengths=predicted with task=editing"),
     ("evaluate", ["source=real", "evaluator.tokens=clip_b16", "evaluator.tokens_path=/nowhere"], "/nowhere"),
 ]
 

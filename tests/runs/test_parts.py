@@ -36,6 +36,18 @@ def test_links_move_with_the_tree_of_runs(run, tmp_path):
     assert load_part(moved)[1]["step"] == 3
 
 
+def test_a_tree_of_runs_may_be_a_link_to_a_deeper_place(run, tmp_path):
+    deep = tmp_path / "mnt/big/users/me/runs"
+    deep.parent.mkdir(parents=True)
+    shutil.move(tmp_path / "runs", deep)
+    (tmp_path / "runs").symlink_to(deep, target_is_directory=True)
+    generator = tmp_path / "runs" / "generator" / "mine"
+    link(generator, {"length": run.resolve()})  # as a run that is given is resolved
+    assert load_part(upstream(generator)["length"])[1]["step"] == 3
+    link(generator, {"length": run})
+    assert load_part(upstream(generator.resolve())["length"])[1]["step"] == 3
+
+
 def test_a_part_is_loaded_as_what_it_is(run):
     for part in (None, "length"):
         module, meta = load_part(run, "cpu", part)

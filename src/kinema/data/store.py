@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable
 from functools import cached_property
@@ -179,6 +180,14 @@ class PackedStore:
     def dropped(self) -> list[dict[str, Any]]:
         """List what was left out: name, split, what (missing, clip, entry, caption), reason."""
         return read_json(self.path / "dropped.json", list, fix=FIX)
+
+    @property
+    def knowledge(self) -> str | None:
+        """The short hash of what is known of clips beside motion and captions, fields and takes; None: nothing is."""
+        sums = self.manifest["checksums"]
+        known = [sums[name] for name in ("fields.json", "fields.npy") if self.fields]
+        known += [sums[name] for name in ("origins.npy", "takes.json") if name in sums]
+        return hashlib.sha256(" ".join(known).encode()).hexdigest()[:12] if known else None
 
     def verify(self) -> None:
         """Read the features too and renew their stamp; raises ValueError if they are not those that were written."""

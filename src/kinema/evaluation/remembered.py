@@ -70,7 +70,7 @@ class Remembered(Source):
         self.source, self.folder = source, folder
         self.label, self.multimodal, self.text_encoder = source.label, source.multimodal, source.text_encoder
         self.dims = source.dims
-        self._given: list[Made] = []
+        self._given: list[tuple[int, float, dict[str, float]]] = []
         self._seconds: float | None = None
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
@@ -81,7 +81,7 @@ class Remembered(Source):
             if made is None:
                 made = self._make(batch, seeds)
                 made.save(file)
-        self._given.append(made)
+        self._given.append((len(made.lengths), made.seconds, made.measured))
         device = batch.features.device
         return answer(batch, torch.from_numpy(made.features).to(device), torch.from_numpy(made.lengths).to(device))
 
@@ -90,10 +90,9 @@ class Remembered(Source):
         given, self._given, self._seconds = self._given, [], None
         if not given:
             return {}
-        sizes = [len(made.lengths) for made in given]
-        self._seconds = float(np.average([made.seconds for made in given], weights=sizes))
-        names = given[0].measured
-        return {name: float(np.average([made.measured[name] for made in given], weights=sizes)) for name in names}
+        sizes, took, counted = zip(*given, strict=True)
+        self._seconds = float(np.average(took, weights=sizes))
+        return {name: float(np.average([each[name] for each in counted], weights=sizes)) for name in counted[0]}
 
     def seconds(self) -> float | None:
         """Return how long one of the motions that were `measured` last took to make."""

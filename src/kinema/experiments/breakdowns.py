@@ -52,7 +52,8 @@ class Parts:
     def row(self, part: str, results: list[dict[str, float]]) -> dict[str, Any]:
         """Describe a part as a row."""
         row = {"key": f"{self.spec['key']}-{part}", "label": f"{self.spec['label']}: {part}", "kind": self.spec["kind"]}
-        return {**row, "note": "", "published": None, "results": results}
+        seeds = len(self.seeds) if len(self.seeds) > 1 else None
+        return {**row, "note": "", "published": None, "results": results, "seeds": seeds}
 
     def _parts(self, field: str) -> list[list[dict[str, dict[str, float]]]]:
         return [[line["breakdowns"].get(field, {}) for line in lines] for lines in self.seeds]

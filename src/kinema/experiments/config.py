@@ -127,6 +127,10 @@ def validate(cfg: DictConfig) -> None:
     if "source" in cfg:
         if cfg.task != "generation" and cfg.source != "generation":
             raise ValueError(f"task={cfg.task} with source={cfg.source}; only source=generation has tasks")
+        if cfg.task != "generation" and cfg.keep_motions:
+            raise ValueError(f"keep_motions=true with task={cfg.task}; only task=generation keeps motion: leave it out")
+        if cfg.task != "generation" and cfg.lengths != cfg.method.lengths:
+            raise ValueError(f"lengths={cfg.lengths} with task={cfg.task}, whose motion is as long as the test clip")
         if cfg.precision != "float32" and cfg.source != "generation":
             raise ValueError(
                 f"precision={cfg.precision} is how a generator computes, and source={cfg.source} has none; leave it out"

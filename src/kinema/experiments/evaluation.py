@@ -56,6 +56,11 @@ class Row:
     asked: tuple[int, ...]
 
     @property
+    def digest(self) -> str:
+        """What its folder's name ends in: two places of the same one are of the same row."""
+        return self.folder.path.name.rpartition("-")[2]
+
+    @property
     def runs(self) -> dict[str, Path]:
         """All runs it reads."""
         return self.judges | self.subject | {name: run for name, run in self.beside.items() if run is not None}
@@ -89,7 +94,7 @@ def describe(cfg: DictConfig) -> Row:
     """Find the folder of an evaluation without running anything."""
     validate(cfg)
     _check_method(cfg)
-    corpus, corpus_of = PackedStore.open(open_corpus(cfg)).hash, corpora(cfg)
+    store, corpus_of = PackedStore.open(open_corpus(cfg)), corpora(cfg)
 
     def found(stage: Stage) -> Path:
         return stage.given(cfg) or stage_folder(cfg, stage, corpus_of).path
@@ -104,7 +109,7 @@ def describe(cfg: DictConfig) -> Row:
         replications=cfg.scale.protocol.replications,
         asked=tuple(range(cfg.scale.protocol.replications) if cfg.replications is None else cfg.replications),
     )
-    identity = _identity(cfg, row, corpus)
+    identity = _identity(cfg, row, store)
     what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
     if "control" in identity:
         what = f"control_{'_'.join(cfg.control.joints)}"
@@ -132,16 +137,18 @@ def unread(cfg: DictConfig) -> list[str]:
     return [name for name in cfg.evaluator.unread if get_stage(name).given(cfg) is None]
 
 
-def _identity(cfg: DictConfig, row: Row, corpus: str) -> dict[str, Any]:
+def _identity(cfg: DictConfig, row: Row, store: PackedStore) -> dict[str, Any]:
     """Collect what determines a row's results, whatever the number of replications."""
     identity = {
         "source": cfg.source,
-        "corpus": corpus,
+        "corpus": store.hash,
         "protocol": {k: v for k, v in plain(cfg.scale.protocol).items() if k != "replications"},
         "runs": {name: fingerprint(run_identity(path)) for name, path in row.runs.items()},
         "sampling": sampling_spec(cfg) if cfg.source == "generation" else None,
         "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
     }
+    if store.knowledge is not None:  # oracles, breakdowns and what counts as memorised rest on it
+        identity["knowledge"] = store.knowledge
     if cfg.source == "generation" and cfg.task == "editing":
         identity["edit"] = plain(cfg.edit)
     elif cfg.source == "generation" and cfg.task == "control":
@@ -171,6 +178,7 @@ def run_evaluation(cfg: DictConfig) -> Row:
     """
     row = describe(cfg)
     if not row.missing:
+        _mark(row)
         console.print(f"cached    {row.folder.path}")
         show_results(cfg, row.folder, anew=False)
         return row
@@ -183,12 +191,20 @@ def run_evaluation(cfg: DictConfig) -> Row:
                 with attempt(row.folder.path / f".replication-{replication}.lock", wait=patient) as mine:
                     if mine and replication in row.missing:
                         scoring.score(replication)
+    _mark(row)
     if len(row.lines) == row.replications:
-        row.folder.mark("done", versions=versions())
         tell_means(row)
         with row.folder.lock():
             show_results(cfg, row.folder, anew=True)
     return row
+
+
+def _mark(row: Row) -> None:
+    """Say in the row's folder that it is done, or where more replications belong to it than were asked for, partly."""
+    done = len(row.lines) == row.replications
+    state = "done" if done else "partial"
+    if row.folder.status["state"] != state and (done or not row.folder.held):  # else another scores the others
+        row.folder.mark(state, versions=versions())
 
 
 def tell_means(row: Row) -> None:

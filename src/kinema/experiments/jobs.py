@@ -18,6 +18,7 @@ from omegaconf import DictConfig
 
 from kinema.experiments.config import compose, refuse_processes
 from kinema.experiments.corpus import files_listed_once
+from kinema.experiments.overrides import for_training
 from kinema.experiments.replications import whole_lines
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages import companions_of, get_stage, needs_of
@@ -113,7 +114,7 @@ def _add_stage(jobs: dict[Path, Job], cfg: DictConfig, stage: Stage, overrides: 
         before = (*needs_of(stage), *companions_of(stage), *stage.watched_by(cfg))
         wanted = (_add_stage(jobs, cfg, other, overrides) for other in before)
         reads = frozenset(path for path in wanted if path is not None)
-        jobs[run.path] = Job(TRAIN, (f"stage={stage.name}", *overrides), run.path, reads)
+        jobs[run.path] = Job(TRAIN, (f"stage={stage.name}", *for_training(overrides)), run.path, reads)
     return run.path
 
 

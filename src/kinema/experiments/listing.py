@@ -13,12 +13,15 @@ from kinema.evaluation.settings import EvaluationProtocol
 from kinema.experiments.config import LENGTHS, plain, read_config
 from kinema.experiments.replications import scored_lines
 from kinema.experiments.stages import stages
+from kinema.motion.skeleton import DIMS
 from kinema.report.intervals import Value, means
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import read_lines
 from kinema.runs.parts import GENERATOR
 
 EVALUATION, DAMAGED = "evaluation", "damaged"
+USUAL = DIMS[0]
+"""Dims that the usual evaluators read, those of every table but the ones on evaluators themselves."""
 SHARED = ("representation", "text", "data.options", "trainer.precision", "scale.protocol")
 """What a stage's run is chosen by beside its own part of the configuration."""
 APART = ("paths", "logger", "callbacks", "debug", "ensure", "trainer", "stage", "seed", "scale", "data", "replications")
@@ -117,6 +120,13 @@ class Listed:
         return {key: value for key, value in found.items() if value}
 
     @property
+    def usual(self) -> bool:
+        """Say whether an evaluation is by the usual evaluators, and of motion of its method's own lengths."""
+        lengths, judge = at(self.provenance, "lengths"), at(self.provenance, "statistics.evaluator.kind")
+        own = at(self.config, "method.lengths") or LENGTHS[0]
+        return lengths in (None, own) and judge in (None, USUAL)
+
+    @property
     def provenance(self) -> dict[str, Any]:
         """What an evaluation's results rest on: runs, corpus, protocol."""
         return self.lines[0]["provenance"] if self.evaluates and self.lines else {}
@@ -144,14 +154,15 @@ def find(root: Path, words: Sequence[str] = ()) -> list[Listed]:
 def judged(root: Path) -> dict[str, Listed]:
     """Return the evaluation of each generator's own motion, by the name of its run; where there are several, the last.
 
-    Edits, predicted lengths and splits other than the tables' are evaluations of their own.
+    Edits, other evaluators than the usual ones, other lengths than the method's and splits other than the tables' are
+    evaluations of their own.
     """
     found = {}
     for file in sorted((root / EVALUATION).glob("generation-*/replications.jsonl"), key=lambda f: f.stat().st_mtime_ns):
         one = Listed(RunFolder(file.parent))
         name = at(one.provenance, f"runs.{GENERATOR}") if one.damage is None else None
-        own = {"lengths": LENGTHS[0], "protocol.split": EvaluationProtocol.split}
-        if isinstance(name, str) and all(at(one.provenance, key) in (None, value) for key, value in own.items()):
+        split = at(one.provenance, "protocol.split") if isinstance(name, str) else None
+        if isinstance(name, str) and split in (None, EvaluationProtocol.split) and one.usual:
             found[name] = one
     return found
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError
 from kinema.experiments.lost import lost_jobs
+from kinema.experiments.overrides import for_training
 from kinema.runs.console import console
 from kinema.signals import Interrupted, ended_by_signal, interruptible
 
@@ -31,7 +32,7 @@ def run_multiruns(jobs: list[Job], overrides: list[str]) -> None:
         left_out += waiting
         reasons: dict[Job, str] = {}
         for choices in sweeps(ready):
-            words = [command, "-m", *overrides, *choices]
+            words = [command, "-m", *(for_training(overrides) if command == TRAIN else overrides), *choices]
             console.print(f"[bold]run[/]       kinema {' '.join(words)}")
             with lost_jobs() as lost:
                 _run(words, lost.environment)

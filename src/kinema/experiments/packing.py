@@ -12,7 +12,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.data.store import PackedStore
-from kinema.experiments.config import CONF, LENGTHS, compose, plain, read_config
+from kinema.experiments.config import CONF, compose, plain, read_config
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.listing import EVALUATION, Listed, at, flatten
 from kinema.experiments.repertoires import repertoire_of
@@ -145,7 +145,7 @@ def figures(folder: Path) -> list[dict[str, Any]]:
         rests = one.provenance if one.damage is None else {}
         own = plain(read_config(folder)).get(GENERATOR, {}).get("sampling")
         same = at(rests, f"runs.{GENERATOR}") == folder.name and at(rests, "sampling") == own
-        if same and at(rests, "lengths") in (None, LENGTHS[0]):
+        if same and one.usual:
             found[rests["protocol"]["split"]] = _figure(one)
     return list(found.values())
 
@@ -159,7 +159,7 @@ def strictest(licences: list[str]) -> str:
 
 def _figure(one: Listed) -> dict[str, Any]:
     cfg, split = read_config(one.folder.path), one.provenance["protocol"]["split"]
-    nodes = (*_nodes(), "scale.protocol", "replications")
+    nodes = (*_nodes(), "evaluator", "scale.protocol", "replications")
     scores = {label: value.text(3) for name, label in SCORES.items() if (value := one.scores().get(name)) is not None}
     scores["replications"] = str(len(one.lines))
     return {

@@ -13,13 +13,13 @@ from kinema.data.labels import has_labels
 from kinema.data.store import PackedStore
 from kinema.experiments.benchmark import sections
 from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
-from kinema.experiments.config import CONF, compose
+from kinema.experiments.config import compose
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.evaluation import Row, describe
+from kinema.experiments.overrides import for_training
 from kinema.experiments.provenance import Said, other_judges, provenance
 from kinema.experiments.replications import EACH, over_replications, over_seeds
 from kinema.experiments.spent import spent
-from kinema.experiments.stages import stages
 from kinema.experiments.table_files import PANELS
 
 Results = dict[str, list[dict[str, Any]] | None]
@@ -48,12 +48,7 @@ class TableRow:
     @property
     def trained(self) -> list[str]:
         """Those of its overrides that training knows: all that is not about scoring or sampling."""
-        method = [f"method={self.spec['method']}"] if "method" in self.spec else []
-        scoring = [*OmegaConf.load(CONF / "evaluate.yaml").keys(), "sampling"]
-        sampling = tuple(f"{stage.node}.sampling." for stage in stages().values())
-        own = [o for o in self.spec.get("overrides", []) if not o.lstrip("+").startswith(sampling)]
-        own = [o for o in own if o.split("=")[0].split(".")[0] not in scoring]
-        return [*method, *own, *self._seed]
+        return for_training(self.overrides)
 
     @property
     def _seed(self) -> list[str]:
@@ -138,7 +133,9 @@ def _further_seeds(first: TableRow, overrides: list[str], seeds: int) -> list[Ta
     for seed in range(first.cfg.seed + 1, first.cfg.seed + seeds):
         row = replace(first, seed=seed)
         cfg = compose([*overrides, *row.overrides], "evaluate")
-        found.append(replace(row, cfg=cfg, place=describe(cfg)))
+        place = describe(cfg)
+        if place.digest != first.place.digest:  # else its run is a given one: another seed makes no other
+            found.append(replace(row, cfg=cfg, place=place))
     return found
 
 

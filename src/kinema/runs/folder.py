@@ -52,7 +52,7 @@ class RunFolder:
         return self.path / "weights.safetensors"
 
     def mark(self, state: str, **values: Any) -> None:
-        """Record the state: pending | running | done | failed | interrupted."""
+        """Record the state: pending | running | partial | done | failed | interrupted."""
         kept = {k: v for k, v in self.status.items() if k != "error"}
         write_json(self.path / "status.json", {**kept, "state": state, **values})
 

@@ -59,7 +59,7 @@ def link(run: Path, parts: Mapping[str, Path], *, place: Path | None = None) -> 
     for name, part in parts.items():
         if not _near(run, name, part.resolve()):
             ask(place or run, name, str(part.resolve()))
-    write_json(run / UPSTREAM, {name: os.path.relpath(part, run) for name, part in parts.items()})
+    write_json(run / UPSTREAM, {name: os.path.relpath(part.resolve(), run.resolve()) for name, part in parts.items()})
 
 
 def upstream(run: Path) -> dict[str, Path]:
