@@ -9,6 +9,8 @@ import pytest
 from kinema.experiments import multirun
 from kinema.experiments.config import CONF, compose
 from kinema.experiments.jobs import EVALUATE, TRAIN, Job, JobsFailedError, missing_jobs, run_jobs
+from kinema.experiments.run import stage_folder
+from kinema.experiments.stages import get_stage
 from kinema.experiments.table_files import load_table
 from kinema.experiments.tables import plan
 from kinema.runs.folder import RunFolder
@@ -92,9 +94,9 @@ def test_what_another_process_works_on_comes_last(tmp_path):
 
 def test_what_is_of_scoring_alone_is_not_told_to_what_trains(micro_tables, tmp_path, monkeypatch):
     scoring = ["keep_motions=true", "lock_feet=true", "precision=bfloat16", f"evaluators.t2m={tmp_path}"]
-    scoring += ["generator.sampling.guidance=2", "replications=[0]"]
+    scoring += ["replications=[0]"]
     table = {**load_table("table5"), "rows": [row for row in load_table("table5")["rows"] if row["key"] == "mardm_sit"]}
-    shared = [*micro_tables, f"paths.runs={tmp_path}", *scoring]
+    shared = [*micro_tables, f"paths.runs={tmp_path}", "generator.sampling.guidance=2", *scoring]
     rows = plan(table, shared)
     jobs = missing_jobs(rows, shared)
     training = [job for job in jobs if job.command == TRAIN]
@@ -112,3 +114,15 @@ def test_what_is_of_scoring_alone_is_not_told_to_what_trains(micro_tables, tmp_p
     assert all(
         set(scoring) <= set(words) if words[0] == "evaluate" else not set(scoring) & set(words) for words in called
     )
+
+
+@pytest.mark.parametrize(("more", "told"), [([], False), (["generator.train.select=fid"], True)])
+def test_how_motion_is_sampled_is_told_to_what_trains_where_it_selects_weights(more, told, micro_tables, tmp_path):
+    (spec,) = (row for row in load_table("table5")["rows"] if row["key"] == "mardm_sit")
+    own = {**spec, "overrides": ["generator.sampling.guidance=2"]}
+    shared = [*micro_tables, f"paths.runs={tmp_path}", *more]
+    jobs = missing_jobs(plan({**load_table("table5"), "rows": [own]}, shared), shared)
+    (job,) = (job for job in jobs if job.overrides[0] == "stage=generator")
+    assert ("generator.sampling.guidance=2" in job.overrides) == told
+    cfg = compose(list(job.overrides), "train")
+    assert stage_folder(cfg, get_stage("generator")).path == job.makes

@@ -1,4 +1,4 @@
-"""Tell the overrides that training knows from those that scoring has alone."""
+"""Tell the overrides that change what is trained from those that are about scoring or sampling."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from kinema.experiments.stages import stages
 
 
 def for_training(overrides: Iterable[str]) -> list[str]:
-    """Leave out what is about scoring or sampling: `kinema train` has no such option."""
-    sampling = tuple(f"{stage.node}.sampling." for stage in stages().values())
-    words = ((override, override.lstrip("+~")) for override in overrides)
-    return [
-        override
-        for override, word in words
-        if not word.startswith(sampling) and word.partition("=")[0].partition(".")[0] not in _scoring()
-    ]
+    """Leave out what is about scoring alone: `kinema train` has no such option."""
+    return [one for one in overrides if _word(one).partition("=")[0].partition(".")[0] not in _scoring()]
+
+
+def without_sampling(overrides: Iterable[str]) -> list[str]:
+    """Leave out how motion is sampled, which changes no weights unless they are selected by the scores of motion."""
+    nodes = tuple(f"{stage.node}.sampling." for stage in stages().values())
+    return [one for one in overrides if not _word(one).startswith((*nodes, "sampling="))]
+
+
+def _word(override: str) -> str:
+    return override.lstrip("+~")
 
 
 @cache
 def _scoring() -> frozenset[str]:
     """Name the keys of conf/evaluate.yaml: those that every entry point has stand in conf/base.yaml."""
-    return frozenset({*OmegaConf.load(CONF / "evaluate.yaml"), "sampling"} - {"defaults", "hydra"})
+    return frozenset({*OmegaConf.load(CONF / "evaluate.yaml")} - {"defaults", "hydra"})

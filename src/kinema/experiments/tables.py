@@ -16,10 +16,11 @@ from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import compose
 from kinema.experiments.corpus import corpus_label, open_corpus
 from kinema.experiments.evaluation import Row, describe
-from kinema.experiments.overrides import for_training
+from kinema.experiments.overrides import for_training, without_sampling
 from kinema.experiments.provenance import Said, other_judges, provenance
 from kinema.experiments.replications import EACH, over_replications, over_seeds
 from kinema.experiments.spent import spent
+from kinema.experiments.stages import stages
 from kinema.experiments.table_files import PANELS
 
 Results = dict[str, list[dict[str, Any]] | None]
@@ -47,8 +48,10 @@ class TableRow:
 
     @property
     def trained(self) -> list[str]:
-        """Those of its overrides that training knows: all that is not about scoring or sampling."""
-        return for_training(self.overrides)
+        """Those of its overrides that change what is trained."""
+        known = for_training(self.overrides)
+        selects = self.cfg is not None and any(stage.selects(self.cfg) for stage in stages().values())
+        return known if selects else without_sampling(known)
 
     @property
     def _seed(self) -> list[str]:
