@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -96,6 +97,10 @@ def test_keyframes_are_widened_to_latents_and_said(run, capsys):
     assert "held      frames 0, 39, whole latents of 4 frames: within 0.0 cm of where they were" in told
     assert "kept frames 0:4, 36:40" in told
     fails(capsys, [*change, "--hold", "0", "--raw", "--out", "edited.npz"], "leave --raw out")
+    fails(capsys, [*change, "--keep", "0:8", "--raw", "--blend", "1", "--out", "edited.npz"], "leave one out")
+    (Path.cwd() / "way.csv").write_text("t,x,z\n0,0,0\n1,1,0\n")
+    moved = ["edit", "--motion", "walk.npz", "--run", str(run), "--path", "way.csv", "--out", "moved.npz"]
+    fails(capsys, [*moved, "--raw", "--seed", "3"], "--seed, --raw without a part that becomes new: leave it out")
 
 
 @pytest.mark.parametrize("width", [67, 100, 263])

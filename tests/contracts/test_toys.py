@@ -270,7 +270,7 @@ def test_of_joints_in_space_an_edit_keeps_what_it_is_told_to_where_it_stood(work
     ):
         (made,) = model.edit(source, "someone waves", frames, parts=parts, seed=1)
         assert np.abs(made.joints - source.joints).max() < 2e-3, (frames, parts)
-        kept = whole if parts else made.kept
+        kept = made.kept if parts is None else whole if parts != "lower" else ~np.isin(np.arange(80), range(20, 50))
         columns = np.ones(67, bool) if parts is None else ~columns_of(parts, model.skeleton)[:67]
         assert np.array_equal(made.features[kept][:, columns], source.features[kept][:, columns])
 

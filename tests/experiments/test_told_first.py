@@ -35,6 +35,8 @@ WRONG = [
     ("train", ["length.model._target_=kinema.nope.X"], UNMARKED),
     ("train", ["text=clip_b32", "text.path=/nowhere"], "no CLIP model at '/nowhere'"),
     ("train", ["text=minilm", "text.path=/nowhere"], "/nowhere"),
+    ("train", ["method=mld", "diffusion.sampling.clip_latents=true"], "clip_latents=true isn't read by method=mld"),
+    ("train", ["trainer.precision=bf16-true"], "must be one of 32-true, 16-mixed, bf16-mixed"),
     ("train", ["text.dim=63"], "text.dim=63, and hashed-64 gives 64 numbers"),
     ("evaluate", ["text=clip_b32", "text.path=/nowhere"], "no CLIP model at '/nowhere'"),
     ("evaluate", ["source=nearest", "text=clip_b32", "text.path=/nowhere"], "no CLIP model at '/nowhere'"),

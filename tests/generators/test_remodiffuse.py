@@ -299,3 +299,9 @@ def test_words_may_be_read_as_they_are():
     model = make(text_layers=0, retrieval_text_layers=0)
     made = model.sample(text(), LENGTHS, seeds=torch.tensor([1, 2, 3]))
     assert torch.isfinite(made.values).all()
+
+
+@pytest.mark.parametrize("unread", [{"renewal": 0.5}, {"guidance_growing": True}, {"guidance_interval": [0.0, 0.5]}])
+def test_what_the_mixture_does_not_read_is_refused(unread):
+    with pytest.raises(ValueError, match=rf"sampling.{next(iter(unread))} is .*, which ReMoDiffuse's mixture doesn't"):
+        MixtureSampling(**unread)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from lightning import Trainer
 from safetensors.torch import load_file
 
 from kinema.experiments.config import compose
@@ -21,6 +22,7 @@ from kinema.experiments.stages import get_stage
 from kinema.runs.lines import read_lines
 from kinema.training import fit as fitting
 from kinema.training.dashboards import About, dashboards, kinds
+from kinema.training.observers import Observer
 
 SHORT = [
     "trainer.log_every=2",
@@ -233,6 +235,14 @@ def test_weights_that_no_score_chose_are_not_kept_in_its_name(overrides, monkeyp
     brief = [*overrides, *SHORT, "logger=none", "generator.train.select=fid", "callbacks.score_every=6"]
     with pytest.raises(ValueError, match="select=fid keeps the best of the weights, and none had a fid"):
         run_stage(compose(brief), "generator")
+
+
+def test_a_process_that_is_not_the_first_looks_at_nothing_and_is_no_error(overrides, monkeypatch):
+    """Of two processes the first scores and writes; the other ends in order."""
+    monkeypatch.setattr(Observer, "on_train_batch_end", lambda *_: None)
+    monkeypatch.setattr(Trainer, "is_global_zero", property(lambda _: False))
+    brief = [*overrides, *SHORT, "logger=none", "generator.train.select=fid", "callbacks.score_every=6"]
+    assert run_stage(compose(brief), "generator").weights
 
 
 @pytest.mark.parametrize("stage", ["generator", "tokenizer"])

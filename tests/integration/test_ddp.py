@@ -50,11 +50,22 @@ def test_two_processes_train_like_one(stage, method, overrides, script, tmp_path
 
 
 @pytest.mark.parametrize("options", [["trainer=ddp"], ["trainer.devices=2"], ["trainer.num_nodes=2"]])
-def test_several_processes_inside_a_sweep_are_refused(options):
+def test_several_processes_inside_a_sweep_are_refused(options, monkeypatch):
+    monkeypatch.setenv("RANK", "0")
     with pytest.raises(ValueError, match="one run at a time"):
         refuse_processes(compose(options), multirun=True)
     refuse_processes(compose(options), multirun=False)
     refuse_processes(compose(["trainer.devices=[0]"]), multirun=True)
+
+
+def test_nodes_that_nothing_numbers_are_refused(monkeypatch):
+    """Two that take themselves for the first would wait for each other, or write one run."""
+    for name in ("RANK", "SLURM_PROCID"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ValueError, match=r"trainer.num_nodes=2: nothing tells .*start it by torchrun"):
+        refuse_processes(compose(["trainer.num_nodes=2"]), multirun=False)
+    monkeypatch.setenv("SLURM_PROCID", "1")
+    refuse_processes(compose(["trainer.num_nodes=2"]), multirun=False)
 
 
 def test_spawned_processes_are_refused():

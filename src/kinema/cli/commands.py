@@ -109,6 +109,12 @@ def edit(options: argparse.Namespace) -> None:
         raise ValueError(
             lacks if anew else "--text without a part that becomes new: give --regenerate, or leave it out"
         )
+    made_anew = {"--seed": options.seed, "--set": options.set or None, "--length": options.length}
+    made_anew |= {"--raw": options.raw or None, "--blend": options.blend}
+    if not anew and (idle := [name for name, value in made_anew.items() if value is not None]):
+        raise ValueError(f"{', '.join(idle)} without a part that becomes new: leave it out, or give --regenerate")
+    if options.raw and options.blend is not None:
+        raise ValueError("--blend with --raw: nothing is pasted that could be blended; leave one out")
     model = _model(options)
     model.changed_sampling(options.set)
     export.check(options.out, model.skeleton)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -179,4 +180,9 @@ def refuse_processes(cfg: DictConfig, multirun: bool) -> None:
             f"trainer.devices={devices} with trainer.strategy={cfg.trainer.strategy} inside a multirun would train "
             "each process on a share of the data alone; use trainer.devices=1 trainer.strategy=auto (and "
             "launcher=slurm or joblib for many runs at once), or one run at a time"
+        )
+    if cfg.trainer.num_nodes > 1 and not {"RANK", "SLURM_PROCID"} & set(os.environ):
+        raise ValueError(
+            f"trainer.num_nodes={cfg.trainer.num_nodes}: nothing tells this process which of them it is (RANK or "
+            "SLURM_PROCID); start it by torchrun on every node, or by srun"
         )

@@ -39,6 +39,9 @@ from kinema.seeds import request_seeds
 from kinema.text.frozen import check_texts
 from kinema.types import Known, Latents, Motion, MotionBatch, TextFeatures
 
+CROP = 4
+"""Frames that training's crops are multiples of."""
+
 
 class TextToMotion(Portable):
     """Generate and edit motion from text; `Portable` says what it holds and how it is read and written."""
@@ -58,7 +61,7 @@ class TextToMotion(Portable):
         """The longest motion that training knew (196 frames: whole latents below the skeleton's limit)."""
         space, longest = self.generator.space, self.skeleton.max_frames - 1
         if space.unit is None:
-            return longest
+            return longest // CROP * CROP
         return space.frames_of(min(space.latents_of(longest), space.most, self.tokenizer.space.most))
 
     @property
@@ -82,8 +85,13 @@ class TextToMotion(Portable):
         """Generate with products in bfloat16 from now on, of weights that are cast once: about half their memory.
 
         Sums, norms, the steps of a sampler and the text encoder stay in fp32. What it gives depends on the machine
-        (docs/frontier.md). Such a model can't be saved: load it again for that.
+        (docs/frontier.md). Such a model can't be saved: load it again for that. Raises ValueError for a model of joints
+        in space, whose places bfloat16 would round to centimetres.
         """
+        if self.tokenizer.placed:
+            raise ValueError(
+                "bfloat16 rounds places in space to centimetres, and this model's motion is of such; use float32"
+            )
         for module in self._modules():
             cast_products(module)
         self.precision = "bfloat16"
@@ -250,6 +258,9 @@ class TextToMotion(Portable):
                 keep, known = self._known(whole, counts.to(self.device), ranges[part], parts)
                 text, drawn = self.encode(texts[part]), torch.tensor(seeds[part])
                 batch = self.sample(text, counts, seeds=drawn, known=known, sampling=options)
+                if self.tokenizer.placed and parts == "lower":
+                    # Joints that were held in space are there; rows about the old root would move them along.
+                    keep = keep.all(-1, keepdim=True).expand_as(keep)
                 if paste:
                     batch = self.tokenizer.described(batch, whole.features, keep)
                     batch = put_back(batch, whole.features, keep, self.skeleton, blend)

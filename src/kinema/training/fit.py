@@ -99,13 +99,13 @@ def fit(
             warnings.filterwarnings("ignore", message=f".*{harmless}.*")
         _run(trainer, module, data, last, saver)
     kept = keepers.get(recipe.select)
-    if kept is not None:
-        if not kept.weights:
-            raise ValueError(
-                f"train.select={recipe.select} keeps the best of the weights, and none had a {recipe.select} (the "
-                "notes say why): mend that, or choose last"
-            )
+    if kept is not None and kept.weights:
         return Fitted(kept.weights, kept.step, record.seconds, kept.value if kept is best else None)
+    if kept is not None and trainer.is_global_zero:  # of several processes, the first alone looks, and writes
+        raise ValueError(
+            f"train.select={recipe.select} keeps the best of the weights, and none had a {recipe.select} (the "
+            "notes say why): mend that, or choose last"
+        )
     weights = {k: v.detach().cpu().clone() for k, v in module.model.state_dict().items()}
     loss = trainer.callback_metrics.get("val/loss")
     return Fitted(weights, trainer.global_step, record.seconds, None if loss is None else float(loss))

@@ -16,7 +16,8 @@ Devices = (
     | Annotated[str, Matches(r"auto|-1|\d+(,\d+)*", "auto or numbers with commas")]
     | Annotated[list[Number], Len(1)]
 )
-PRECISIONS = ("32-true", "16-mixed", "bf16-mixed", "64-true", "16-true", "bf16-true")
+PRECISIONS = ("32-true", "16-mixed", "bf16-mixed")
+"""Weights, averages and statistics are float32 in all of them: an average of .9999 doesn't move in fewer bits."""
 PROGRESS = ("rich", "tqdm", "none")
 EXTRAS = ("benchmark", "deterministic", "detect_anomaly", "inference_mode", "profiler")
 """What else Lightning's Trainer may be told: its other arguments change what is computed, and no identity has them."""

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.motion.captures.conftest import REST, SPELLED, bvh_text
 
 from kinema import cli
+from kinema.motion.captures import capture
 from kinema.motion.captures.bvh import read_bvh
 from kinema.motion.captures.reading import captured_joints, read_capture
 from kinema.motion.convention import Convention
@@ -224,3 +225,17 @@ def test_a_rig_of_ones_own_is_read_by_a_mapping(write, tmp_path, capsys):
     assert cli.main(["export", str(path), "--mapping", str(mapping), "--out", out]) == 0
     assert "My rig" in capsys.readouterr().out
     np.testing.assert_allclose(load_npz(out).joints, read_recording(other).joints, atol=1e-5)
+
+
+def test_joints_that_cost_a_file_nothing_do_not_fill_the_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(capture, "MOST", 1000)
+    file = tmp_path / "bomb.bvh"
+    joints = (
+        "".join(f"JOINT j{i} {{ OFFSET 0 1 0 CHANNELS 0 " for i in range(100))
+        + "End Site { OFFSET 0 1 0 } "
+        + "} " * 100
+    )
+    root = f"HIERARCHY ROOT hips {{ OFFSET 0 0 0 CHANNELS 3 Xposition Yposition Zposition {joints} }}"
+    file.write_text(f"{root}\nMOTION\nFrames: 20\nFrame Time: 0.05\n" + "0 0 0\n" * 20)
+    with pytest.raises(ValueError, match=r"bomb.bvh has 1\d\d joints in 20 frames; at most 1,000 places are read"):
+        read_bvh(file)

@@ -49,6 +49,11 @@ class GeneratorStage(ConditionedStage):
                 f"diffusion.sampling.grid={grid} isn't read by method={cfg.method.name}; give it "
                 f"+{self.node}.sampling.solver_grid={grid}"
             )
+        if OmegaConf.select(cfg, "diffusion.sampling.clip_latents") and "clip_latents" not in sampling:
+            raise ValueError(
+                f"diffusion.sampling.clip_latents=true isn't read by method={cfg.method.name}, which clips nothing; "
+                "leave it out"
+            )
         super().check(cfg, store)
 
     def given(self, cfg: DictConfig) -> Path | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -44,6 +44,12 @@ class MixtureSampling(FrameSampling):
                 f"sampling.guidance is {self.guidance}, but ReMoDiffuse mixes four passes instead; leave it at 1 and "
                 "set sampling.coarse, both, text and retrieval"
             )
+        usual = {one.name: one.default for one in fields(FrameSampling)}
+        for name in ("guidance_interval", "guidance_growing", "holding", "renewal"):
+            if getattr(self, name) != usual[name]:
+                raise ValueError(
+                    f"sampling.{name} is {getattr(self, name)}, which ReMoDiffuse's mixture doesn't read; leave it out"
+                )
 
     def mixture(self, share: float, alone: Bool[Tensor, " b"]) -> Float[Tensor, "b 4"]:
         """Return the weights of the passes at a share of the way to noise; `alone`: the coin took retrieval away.

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from kinema.motion.captures.capture import Capture
+from kinema.motion.captures.capture import Capture, check_size
 from kinema.motion.captures.text import numbers, read_text
 from kinema.motion.captures.turning import euler
 
@@ -62,6 +62,7 @@ def read_amc(path: str | Path, asf: str | Path | None = None, *, fps: float = AM
     values = _read_frames(path, text, skeleton)
     degrees = ":RADIANS" not in text.upper().split() and (skeleton.degrees or ":DEGREES" in text.upper().split())
     frames = len(values["root"])
+    check_size(path, frames, 2 * len(skeleton.bones))
     order = ["root", *skeleton.parents]
     rotations, translations, rest, names, parents = [], [], [], [], []
     for name in order:

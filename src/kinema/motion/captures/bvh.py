@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from kinema.motion.captures.capture import Capture
+from kinema.motion.captures.capture import Capture, check_size
 from kinema.motion.captures.text import numbers, read_text
 from kinema.motion.captures.turning import euler
 
@@ -41,6 +41,7 @@ def read_bvh(path: str | Path) -> Capture:
         raise ValueError(f"{path} is no BVH file: it has no {'MOTION' if 'HIERARCHY' in head else 'HIERARCHY'} section")
     joints = _Hierarchy(path, head.split("HIERARCHY", 1)[1]).joints
     values, fps = _motion(path, motion, sum(len(joint.channels) for joint in joints))
+    check_size(path, len(values), len(joints))
     rotations = np.tile(np.eye(3), (len(values), len(joints), 1, 1))
     rest = np.array([joint.offset for joint in joints])
     translations = np.tile(rest, (len(values), 1, 1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,17 @@ from kinema.motion.resampling import blended, sample_times
 
 USUAL_RATES = (12.5, 20, 24, 25, 30, 48, 50, 60, 72, 90, 100, 120, 200, 240)
 """Files print 1/30 as 0.0333: a rate this near to one of these is meant to be it (see `usual_rate`)."""
+
+MOST = 20_000_000
+"""Joints times frames of a capture: an hour of 90 joints at 60 frames per second, 2 GB of rotations and places."""
+
+
+def check_size(path: Path, frames: int, joints: int) -> None:
+    """Raise ValueError for a capture that would fill the memory: joints without channels cost its file nothing."""
+    if frames * joints > MOST:
+        raise ValueError(
+            f"{path} has {joints} joints in {frames} frames; at most {MOST:,} places are read: cut it into takes"
+        )
 
 
 @dataclass(frozen=True, eq=False)
