@@ -8,11 +8,11 @@ from itertools import islice
 import numpy as np
 import pytest
 import torch
+from tests.evaluation.toys import Echo, Evaluated, Halves, letters, model, seeds
 
 from kinema.data.synthetic import synthetic_catalog
 from kinema.evaluation.changed import FeetLocked, Lifted
 from kinema.evaluation.perturbed import Perturbed, judged
-from kinema.evaluation.remembered import Remembered
 from kinema.evaluation.sources import (
     Edited,
     Generated,
@@ -23,81 +23,14 @@ from kinema.evaluation.sources import (
     Reconstruction,
     ShuffledCaptions,
 )
-from kinema.generators import Generator, LatentModel
+from kinema.generators import LatentModel
 from kinema.motion.body_parts import columns_of
 from kinema.motion.features import extract
 from kinema.motion.lifting import lift
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import HUMANML3D
 from kinema.motion.statistics import Statistics
-from kinema.pipeline import TextToMotion
-from kinema.tokenizers import MotionTokenizer
-from kinema.types import Latents, LatentSpace, MotionBatch, TextFeatures, frame_mask
-
-
-class Halves(MotionTokenizer):
-    """Tokenize by keeping every fourth frame of the essential columns."""
-
-    space = LatentSpace("continuous", 67, 49, 4)
-    representation = Representation("essential", "humanml3d")
-
-    def loss(self, motion, *, generator=None, shard=(0, 1)):
-        raise ValueError("nothing to learn")
-
-    def encode(self, batch, *, generator=None):
-        lengths = batch.lengths // 4
-        return Latents(lengths, lengths * 4, batch.features[:, ::4, :67])
-
-    def decode(self, latents):
-        features = latents.values.repeat_interleave(4, 1)
-        features = features * frame_mask(latents.frames, features.shape[1])[..., None]
-        return MotionBatch(features, latents.frames)
-
-
-class Echo(Generator):
-    """Generate each row from its text feature and seed."""
-
-    space = Halves.space
-    sampling = 1.0
-
-    def __init__(self, predicts_length=False):
-        super().__init__()
-        self.predicts_length = predicts_length
-        self.anchor = torch.nn.Parameter(torch.zeros(()))
-
-    def loss(self, latents, text, *, generator=None, shard=(0, 1)):
-        raise ValueError("nothing to learn")
-
-    def sample(self, text, frames, *, seeds, known=None, sampling=None):
-        frames = torch.full_like(seeds, 12) if frames is None else frames
-        values = torch.zeros(len(frames), int(frames.max()) // 4, 67)
-        values += text.pooled[:, :1, None] * sampling + seeds[:, None, None]
-        return Latents(frames // 4, frames, values)
-
-
-class Letters:
-    """Count letters: equal texts are nearest to each other."""
-
-    identity, dim, token_dim = "letters", 26, 0
-
-    def __call__(self, texts):
-        counts = [[t.count(c) + 1e-3 for c in "abcdefghijklmnopqrstuvwxyz"] for t in texts]
-        return TextFeatures(texts, torch.tensor(counts))
-
-    def empty(self):
-        return self([""])
-
-
-letters = Letters()
-
-
-def model(generator=None, **parts):
-    return TextToMotion(Halves(), generator or Echo(), letters, parts)
-
-
-def seeds(size):
-    return torch.arange(size) + 5
-
+from kinema.types import LatentSpace, MotionBatch, frame_mask
 
 SOURCES = {
     "real": lambda: RealMotion(),
@@ -250,28 +183,6 @@ def test_an_unknown_editing_task_is_refused_at_once():
         Edited(model(), task="middle")
 
 
-class Doubling(torch.nn.Module):
-    def forward(self, x):
-        return 2 * x
-
-
-class Evaluated(Echo):
-    """Call a network three times per batch, with two rows for each motion, as guidance does."""
-
-    def __init__(self):
-        super().__init__()
-        self.network = Doubling()
-
-    @property
-    def networks(self):
-        return {"denoiser": self.network}
-
-    def sample(self, text, frames, *, seeds, known=None, sampling=None):
-        for _ in range(3):
-            self.network(torch.cat((text.pooled, text.pooled)))
-        return super().sample(text, frames, seeds=seeds, known=known, sampling=2.0)
-
-
 def test_a_generated_source_counts_what_passes_through_the_networks(make):
     source, batch = Generated(model(Evaluated())), make.batch()
     size = len(batch.lengths)
@@ -375,52 +286,3 @@ def test_generated_motion_is_timed_apart_from_what_is_measured(make, monkeypatch
     assert source.seconds() is None
     assert "seconds" not in " ".join(source.measured())
     assert RealMotion().seconds() is None
-
-
-def test_what_was_generated_once_is_given_again_with_what_was_measured_then(make, tmp_path):
-    batch, other = make.batch(), make.batch(size=4, seed=1)
-    alone = Generated(model(Evaluated()))
-    wanted = [alone(batch, seeds(8)), alone(other, seeds(4))]
-    first = Remembered(Generated(model(Evaluated())), tmp_path)
-    made = [first(batch, seeds(8)), first(other, seeds(4))]
-    assert first.measured() == alone.measured()
-    took = first.seconds()
-    generator = Evaluated()
-    generator.sample = None  # any work would fail
-    again = Remembered(Generated(model(generator)), tmp_path)
-    given = [again(replace(batch, features=batch.features[..., :67]), seeds(8)), again(other, seeds(4))]
-    assert again.measured() == {"denoiser_calls": 3, "denoiser_rows": 6}
-    assert again.seconds() == took > 0
-    for before, kept, later in zip(wanted, made, given, strict=True):
-        assert torch.equal(before.features, kept.features)
-        assert torch.equal(before.features, later.features)
-        assert torch.equal(before.lengths, later.lengths)
-    assert again.measured() == {}
-    assert again.seconds() is None
-
-
-@pytest.mark.parametrize(
-    "asked",
-    [
-        lambda batch: (batch, seeds(8) + 1),
-        lambda batch: (replace(batch, lengths=batch.lengths - 4), seeds(8)),
-        lambda batch: (replace(batch, captions=batch.captions[::-1]), seeds(8)),
-        lambda batch: (replace(batch, clip_ids=batch.clip_ids[::-1]), seeds(8)),
-    ],
-)
-def test_another_question_is_never_given_the_same_motion(make, tmp_path, asked):
-    source, batch = Remembered(Generated(model(), sampling=2.0), tmp_path), make.batch()
-    source(batch, seeds(8))
-    question = asked(batch)
-    found, wanted = source(*question), Generated(model(), sampling=2.0)(*question)
-    assert torch.equal(found.features, wanted.features)
-    assert len(list(tmp_path.glob("*.npz"))) == 2
-
-
-def test_kept_motion_that_is_damaged_is_generated_anew(make, tmp_path, capsys):
-    ask = (make.batch(), seeds(8))
-    wanted = Remembered(Generated(model(), sampling=2.0), tmp_path)(*ask)
-    (file,) = tmp_path.glob("*.npz")
-    file.write_bytes(file.read_bytes()[:-40])
-    assert torch.equal(Remembered(Generated(model(), sampling=2.0), tmp_path)(*ask).features, wanted.features)
-    assert file.name in capsys.readouterr().out.replace("\n", "")
