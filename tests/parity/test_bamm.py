@@ -49,13 +49,11 @@ def test_logits(golden_file):
     with torch.no_grad():
         conditional, empty = model(ids, text, condition), model(ids, torch.zeros_like(text), condition)
         causal = model(ids, text)
-    for ours, name in (
-        (conditional, "cond"),
-        (empty, "uncond"),
-        (causal, "causal"),
-        (empty + 4 * (conditional - empty), "cfg4"),
-    ):
+    for ours, name in ((conditional, "cond"), (empty, "uncond"), (causal, "causal")):
         torch.testing.assert_close(ours.mT, golden[f"out.logits_{name}"], **CLOSE)
+    # 4 c - 3 e takes the rounding of both passes seven times: in float64 ours is 2.7e-5 from the kept float32 values
+    guided = {"rtol": CLOSE["rtol"], "atol": 7 * CLOSE["atol"]}
+    torch.testing.assert_close((empty + 4 * (conditional - empty)).mT, golden["out.logits_cfg4"], **guided)
 
 
 def test_training_loss(golden_file):
