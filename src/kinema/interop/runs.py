@@ -14,12 +14,12 @@ from kinema.generators import LatentModel
 from kinema.generators.remodiffuse.model import RETRIEVAL
 from kinema.generators.tokens.generator import RESIDUAL
 from kinema.interop import Kind, find_kind
-from kinema.pipeline.compatibility import check_pair
+from kinema.pipeline.compatibility import check_pair, check_text
 from kinema.runs import weights
 from kinema.runs.folder import RunFolder
 from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER, link, load_part, write_text_encoder
 from kinema.text.clip import WHOLE
-from kinema.text.encoders import ENCODERS
+from kinema.text.encoders import ENCODERS, build_text_encoder
 
 LINKS = (TOKENIZER, RESIDUAL, RETRIEVAL, LENGTH)
 """What a run can be linked to."""
@@ -50,9 +50,13 @@ def import_run(
         raise ValueError(f"unknown text encoder {text!r}; choose --text one of {', '.join(ENCODERS)}")
     parts = {part: load_part(run, "cpu", part)[0] for part, run in linked.items()}
     module: Any = interop.load(kind, source, **(options or {}))
-    check_parts({known.part: module, **parts})
+    fitted = {known.part: module, **parts}
+    check_parts(fitted)
     if module.spec.get("words") == "all" and text not in WHOLE:
         raise ValueError(f"words=all reads all 77 positions, --text {text} gives the text's own; use {WHOLE[0]}")
+    if known.part in READS_TEXT and (text_path is not None or not ENCODERS[text].fetched()):
+        encoder = build_text_encoder(text, text_path or ENCODERS[text].here())
+        check_text(encoder, {name: fitted[name] for name in READS_TEXT if name in fitted})
     with new_folder(out) as folder:
         about: dict[str, Any] = {"part": known.part, "kind": kind, "source": str(source)}
         weights.save(module, module.spec, RunFolder(folder).weights, **about)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 
 from kinema.generators import LatentModel
+from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import LatentSpace
 
@@ -36,6 +38,21 @@ def check_pair(tokenizer: MotionTokenizer, generator: LatentModel) -> None:
             f"{makes.quantizers}; {_FIX}"
         )
     _check_codebook(who, tokenizer, generator)
+
+
+def check_text(encoder: FrozenTextEncoder, parts: Mapping[str, Any]) -> None:
+    """Raise ValueError if a part was built (its spec's `text_dim`, `token_dim`) for text features of other widths."""
+    for name, part in parts.items():
+        for width, kind, makes in (
+            ("text_dim", "vectors", encoder.dim),
+            ("token_dim", "token features", encoder.token_dim),
+        ):
+            reads = (part.spec or {}).get(width)
+            if reads is not None and reads != makes:
+                raise ValueError(
+                    f"the {name} reads text {kind} of {reads} numbers, {encoder.identity} makes them of {makes}; name "
+                    "the text encoder it was trained with"
+                )
 
 
 def check_representation(saved: dict[str, Any] | None, own: MotionTokenizer) -> None:

@@ -14,12 +14,12 @@ from kinema.devices import find_device
 from kinema.generators import Generator
 from kinema.nn.precision import Precision
 from kinema.pipeline.card import Card
-from kinema.pipeline.compatibility import check_pair
+from kinema.pipeline.compatibility import check_pair, check_text
 from kinema.pipeline.folder import read_parts, write_parts
 from kinema.pipeline.models import find_model, upload
 from kinema.pipeline.repertoire import Repertoire
 from kinema.runs.latest import find_run
-from kinema.runs.parts import LENGTH, TOKENIZER
+from kinema.runs.parts import GENERATOR, LENGTH, TOKENIZER
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.tokenizers import MotionTokenizer
 from kinema.types import TextFeatures
@@ -55,6 +55,7 @@ class Portable:
             if name != LENGTH:
                 generator.attach(name, part)
         check_pair(tokenizer, generator)
+        check_text(text_encoder, {GENERATOR: generator, **self.parts})
         if generator.lacks_empty_text:  # a published file does not hold it
             generator.take_empty_text(text_encoder.empty())
 

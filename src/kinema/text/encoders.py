@@ -33,6 +33,10 @@ class Kind:
         """Return where this machine has the published weights, or may find them."""
         return (os.environ.get(self.variable) if self.variable else None) or self.published
 
+    def fetched(self) -> bool:
+        """Say whether its weights, of which no folder is named, would come from another machine."""
+        return self.published is not None and self.here() == self.published
+
 
 def _hashed(path: str | Path | None, device: torch.device | str) -> FrozenTextEncoder:
     if path is not None:
