@@ -71,6 +71,7 @@ def test_held_feet_are_told_and_stand_where_the_capture_stood(walk, tmp_path, ca
         (["--out", "a.vrma", "--unit", "m"], "--unit are options of .bvh"),
         (["--out", "a.doc"], "unknown suffix"),
         (["--out", "a.bvh", "--rate", "0"], "--rate=0"),
+        (["--out", "a.bvh", "--rate", "0.5"], "--rate=0.5"),
         (["--out", "a.bvh", "--rate", "1e9"], "--rate=1"),
         (["--out", "a.bvh", "--rate", "nan"], "--rate=NaN"),
         (["--out", "a.bvh", "--facing", "nan"], "--facing=NaN"),

@@ -90,6 +90,7 @@ def test_some_lengths_are_given_and_others_are_the_models_to_say(model):
         ({"frames": 0}, "length 0 is out of range; allowed: 1 to 196 frames"),
         ({"frames": 197}, r"length 197 is out of range; allowed: 1 to 196 frames \(9.8 seconds at 20"),
         ({"frames": None, "seconds": 60.0}, "length 1200"),
+        ({"frames": None, "seconds": 1e308}, "length of more than 1,000,000,000 frames is out of range"),
         ({"frames": 40, "seconds": 2.0}, "give one of them"),
         ({"frames": [40, 40]}, "2 lengths for 1 texts"),
         ({"guidence": 3}, "unknown sampling field 'guidence'; allowed: steps, guidance"),

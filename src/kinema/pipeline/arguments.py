@@ -16,6 +16,8 @@ from kinema.types import Motion
 BATCH = 32
 """Motions that are generated at once, unless another number is asked for."""
 
+ENDLESS = 10**9
+"""Frames that nobody means; more are not counted."""
 
 PARTS = "; longer ones are made of parts (--chain, TextToMotion.chain)"
 """What to do about a motion that is to be longer than a model's longest."""
@@ -37,18 +39,24 @@ def frame_counts(
     for value in asked:
         if value is not None:
             check_value(value, kind, name)
-    counts = [value if value is None or seconds is None else round(value * fps) for value in asked]
+    counts = [value if value is None or seconds is None else frames_in(value, fps) for value in asked]
     for count in counts:
         if count is not None:
             check_length(count, maximum, fps, fix)
     return counts
 
 
+def frames_in(seconds: float, fps: float) -> int:
+    """Return the frames of a duration, at most ENDLESS."""
+    return round(min(seconds * fps, ENDLESS))
+
+
 def check_length(count: int, maximum: int, fps: float, fix: str = "", where: str = "") -> None:
     """Refuse a length that training never saw; `fix` is told of a longer one, `where` said in front."""
     if not 1 <= count <= maximum:
+        told = count if count < ENDLESS else f"of more than {ENDLESS:,} frames"
         raise ValueError(
-            f"{where}length {count} is out of range; allowed: 1 to {maximum} frames "
+            f"{where}length {told} is out of range; allowed: 1 to {maximum} frames "
             f"({maximum / fps:g} seconds at {fps:g} frames per second){fix if count > maximum else ''}"
         )
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from kinema.options import Count, check_value
-from kinema.pipeline.arguments import check_length
+from kinema.pipeline.arguments import check_length, frames_in
 from kinema.seeds import request_seeds
 from kinema.text.prompts import Prompt
 
@@ -26,7 +26,7 @@ class Take:
     def frames(self, usual: int | None, fps: float) -> int | None:
         """Return the frames that its prompt says, else the usual ones (None: the model's to say)."""
         if self.prompt.seconds is not None:
-            return round(self.prompt.seconds * fps)
+            return frames_in(self.prompt.seconds, fps)
         return usual if self.prompt.frames is None else self.prompt.frames
 
 

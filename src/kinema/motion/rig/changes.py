@@ -16,8 +16,7 @@ from kinema.options import Options
 LOOP_SECONDS = 0.5
 """Over how long the end of a loop becomes its start."""
 
-
-FrameRate = Annotated[float, Interval(gt=0, le=1000)]
+FrameRate = Annotated[float, Interval(ge=1, le=1000)]
 Degrees = Annotated[float, Interval(ge=-360, le=360)]
 Unit = Literal["cm", "m"]
 
