@@ -112,6 +112,18 @@ def test_every_method_builds_at_every_scale_on_both_skeletons(method, scale, cor
     assert "${" not in OmegaConf.to_yaml(printed)
 
 
+def test_nothing_is_guided_from_an_empty_text_that_training_never_had():
+    guided = []
+    for method in METHODS:
+        cfg = composed(*OFFLINE, f"method={method}", "scale=smoke")
+        if cfg.generator.model.get("condition_drop", 0) and cfg.generator.sampling.get("guidance", 1) != 1:
+            guided.append(method)
+            cfg.generator.model.condition_drop = 0.0
+            with pytest.raises(ValueError, match="no empty text to be guided from"):
+                stage_model("generator", cfg=cfg)
+    assert {"mardm_sit", "momask", "bamm", "mdm", "mld", "msflow"} <= set(guided)
+
+
 # Parameters at paper scale, counted from STATE_DICTS' shapes (millions there, codebooks and CLIP excluded). Published
 # files count more: two tables of positions (T2M-GPT, AttT2M, MMM 2 x 51 x 1024, BAD 2 x 52 x 1024) that are no
 # parameters here, and BAMM's 512 numbers of a mask token that nothing reads. MotionGPT is flan-t5-base (247,577,856)

@@ -51,6 +51,16 @@ def completed(base: dict = MOMASK) -> TokenGenerator:
     return model
 
 
+def test_guidance_that_the_residual_transformer_was_not_trained_for_is_refused():
+    model = make(MOMASK)
+    model.attach("residual", make(RESIDUAL | {"condition_drop": 0.0}))
+    with pytest.raises(ValueError, match="no empty text to be guided from; use residual_guidance=1"):
+        model.check_sampling(model.sampling)
+    model.check_sampling(replace(model.sampling, residual_guidance=1.0))
+    with pytest.raises(ValueError, match="a Linear is no residual transformer"):
+        model.attach("residual", torch.nn.Linear(1, 1))
+
+
 def text() -> TextFeatures:
     return TextFeatures(["a", "b", "c"], torch.randn(3, 5, generator=torch.Generator().manual_seed(1)))
 

@@ -340,7 +340,7 @@ def test_nothing_known_is_generation(name):
             lambda m: make("motiondiffuse", attention="full"),
             "attention=full: must be one of linear, softmax",
         ),
-        (lambda m: make("motiondiffuse", sampling=FrameSampling(guidance=2.0)), "sample with guidance=1"),
+        (lambda m: make("motiondiffuse", sampling=FrameSampling(guidance=2.0)), "use guidance=1"),
         (lambda m: make("flow", sampling=FrameSampling(solver="ddim")), "'ddim' is unknown to Flow"),
         (lambda m: make("decoder").loss(latents(), replace(text(), tokens=None)), "attends to tokens"),
         (lambda m: make("motiondiffuse").loss(latents(), replace(text(), tokens=None)), "attends to tokens"),

@@ -22,6 +22,15 @@ def same(a, b):
         np.testing.assert_allclose(one.features, other.features, **CLOSE)
 
 
+def test_options_that_the_model_cannot_sample_by_are_refused(model, monkeypatch):
+    monkeypatch.setattr(model.generator, "condition_drop", 0.0)
+    with pytest.raises(ValueError, match="guidance is 2.0, but condition_drop=0 gave this model no empty text"):
+        model.generate("a person walks", 40, seed=1)
+    with pytest.raises(ValueError, match="solver"):
+        model.generate("a person walks", 40, seed=1, guidance=1.0, solver="ddim")
+    assert model.generate("a person walks", 40, seed=1, guidance=1.0)
+
+
 @pytest.mark.parametrize("frames", [1, 37, 40, 196])
 def test_any_length_comes_out_exactly(model, frames):
     (motion,) = model.generate("a person walks", frames, seed=1)

@@ -28,6 +28,15 @@ def without_words(text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) ->
     return replace(text, token_mask=text.token_mask & ~hidden)
 
 
+def check_guidance(condition_drop: float, **scales: float) -> None:
+    """Refuse options of guidance that need the empty text of a model that was trained on none."""
+    for name, scale in scales.items():
+        if scale != 1 and not condition_drop:
+            raise ValueError(
+                f"{name} is {scale}, but condition_drop=0 gave this model no empty text to be guided from; use {name}=1"
+            )
+
+
 def some(text: TextFeatures, rows: Bool[Tensor, " b"]) -> TextFeatures:
     """Take the samples where `rows` is True."""
     return _taken(text, rows.nonzero().squeeze(1))

@@ -291,13 +291,18 @@ class TextToMotion(Portable):
         return [replace(motion, kept=row[: len(motion.joints)]) for motion, row in zip(made, whole, strict=True)]
 
     def changed_sampling(self, changes: Mapping[str, Any]) -> Any:
-        """Return the generator's sampling with other fields; raises ValueError for one that is unknown or wrong."""
+        """Return the generator's sampling with other fields.
+
+        Raises ValueError for one that is unknown or wrong, or that this generator cannot sample by.
+        """
         allowed = [f.name for f in fields(self.generator.sampling)]
         for name in changes:
             if name not in allowed:
                 raise ValueError(f"unknown sampling field {name!r}; allowed: {', '.join(allowed)}")
         check(type(self.generator.sampling), changes, "sampling")
-        return replace(self.generator.sampling, **changes)
+        changed = replace(self.generator.sampling, **changes)
+        self.generator.check_sampling(changed)
+        return changed
 
     def lengths(self, frames: Any, seconds: Any, size: int) -> list[int | None]:
         """Return the frames of each of `size` motions (None: the model's to say); refuse what cannot be generated."""

@@ -13,6 +13,7 @@ from kinema.decoding.draws import TokenDraws
 from kinema.generators.bamm.sampling import BammSampling, SlotDecoder, Slots
 from kinema.generators.bamm.training import BammDraws
 from kinema.generators.draws import share_of
+from kinema.generators.texts import check_guidance
 from kinema.generators.tokens.encoder import TokenEncoder
 from kinema.generators.tokens.residual import ResidualSampling
 from kinema.generators.tokens.targets import per_sample, targets
@@ -84,6 +85,13 @@ class BAMM(Slots):
             blocks = (TransformerBlock(width, heads, feedforward, dropout, norm=norm) for _ in range(layers))
             self.encoder.blocks = nn.ModuleList(blocks)
             initialize(self.encoder.blocks)
+        self.check_sampling(self.sampling)
+
+    def check_sampling(self, sampling: BammSampling) -> None:
+        """Refuse guidance that training gave no ground."""
+        super().check_sampling(sampling)
+        scales = {"guidance": sampling.guidance, "second_guidance": sampling.second_guidance}
+        check_guidance(self.condition_drop, **scales)
 
     def forward(
         self,

@@ -20,7 +20,7 @@ from kinema.generators.frames.denoiser import Denoiser
 from kinema.generators.frames.sampling import DiffusionSampling, FrameSampling, Kept
 from kinema.generators.frames.training import FrameDraws
 from kinema.generators.lengths import requested_lengths
-from kinema.generators.texts import repeated, without_text
+from kinema.generators.texts import check_guidance, repeated, without_text
 from kinema.generators.values import check_latents
 from kinema.nn.mode import inference
 from kinema.nn.ranks import mean_over_ranks
@@ -69,11 +69,7 @@ class SequenceDiffusion(Generator):
         """Refuse a solver of another process, and guidance that training gave no ground."""
         super().check_sampling(sampling)
         self.process.resolve(sampling.solver, sampling.solver_steps, sampling.solver_grid)
-        if sampling.guidance != 1 and not self.condition_drop:
-            raise ValueError(
-                f"sampling.guidance is {sampling.guidance}, but condition_drop=0 gave this model no empty text to be "
-                "guided from; sample with guidance=1"
-            )
+        check_guidance(self.condition_drop, guidance=sampling.guidance)
 
     def without_text(self, text: TextFeatures, drop: Bool[Tensor, " b"] | None = None) -> TextFeatures:
         """Take the text away from the samples in `drop` (None: from all); by default its features become zero."""

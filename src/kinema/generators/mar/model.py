@@ -19,7 +19,7 @@ from kinema.generators.draws import share_of
 from kinema.generators.lengths import requested_lengths
 from kinema.generators.mar.sampling import MarSampling, plan, start
 from kinema.generators.mar.training import MASK_RATIOS, MarDraws, corrupt, training_mask
-from kinema.generators.texts import beside, without_words
+from kinema.generators.texts import beside, check_guidance, without_words
 from kinema.generators.values import check_latents
 from kinema.nn.diffusion_mlp import DiffusionMLP
 from kinema.nn.embeddings import sinusoidal_positions
@@ -80,8 +80,8 @@ class MARDM(Generator):
         self.mask_length, self.mask_ratio = mask_length, mask_ratio
         self.corruption = {"noise_share": noise_share, "mask_share": mask_share}
         self.sampling = sampling or MarSampling()
-        process.resolve(self.sampling.solver, self.sampling.solver_steps, self.sampling.solver_grid)
         self.process = process
+        self.check_sampling(self.sampling)
         self.mask_latent = nn.Parameter(torch.zeros(latent_dim))
         self.input_projection = nn.Linear(latent_dim, width)
         self.text_projection = nn.Linear(text_dim, width)
@@ -122,9 +122,10 @@ class MARDM(Generator):
         self.set_latent_range(*latents.range())
 
     def check_sampling(self, sampling: MarSampling) -> None:
-        """Refuse a solver of another process too."""
+        """Refuse a solver of another process, and guidance that training gave no ground."""
         super().check_sampling(sampling)
         self.process.resolve(sampling.solver, sampling.solver_steps, sampling.solver_grid)
+        check_guidance(self.condition_drop, guidance=sampling.guidance)
 
     def set_latent_range(self, minimum: Float[Tensor, " c"], maximum: Float[Tensor, " c"]) -> None:
         """Keep the range of latents per channel, for `clip_latents`; call it before training."""

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from kinema.decoding.draws import SeededDraws, TokenDraws
 from kinema.decoding.token_unmasking import unmask_tokens
 from kinema.generators.draws import StepDraws, share_of
+from kinema.generators.texts import check_guidance
 from kinema.generators.tokens.choices import likely_choice
 from kinema.generators.tokens.encoder import EMBEDDING_STD, TokenEncoder, guided_logits
 from kinema.generators.tokens.generator import TokenGenerator
@@ -123,6 +124,12 @@ class MoMask(TokenGenerator):
             dropout=dropout,
         )
         nn.init.normal_(self.token_embedding.weight, std=EMBEDDING_STD)
+        self.check_sampling(self.sampling)
+
+    def check_sampling(self, sampling: MoMaskSampling) -> None:
+        """Refuse guidance that training gave no ground."""
+        super().check_sampling(sampling)
+        check_guidance(self.condition_drop, guidance=sampling.guidance)
 
     def forward(
         self, ids: Int[Tensor, "b n"], text: Float[Tensor, "b t"], real: Bool[Tensor, "b n"]

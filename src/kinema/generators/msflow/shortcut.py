@@ -21,7 +21,7 @@ from kinema.generators import LatentModel
 from kinema.generators.draws import StepDraws, share_of
 from kinema.generators.frames.generator import SequenceDiffusion
 from kinema.generators.msflow.denoiser import MsflowDenoiser
-from kinema.generators.texts import beside, some
+from kinema.generators.texts import beside, check_guidance, some
 from kinema.generators.values import check_latents
 from kinema.nn.ranks import mean_over_ranks
 from kinema.options import NonNegative, OneOf, Options, Share, Steps, checked
@@ -105,11 +105,7 @@ class Shortcut(LatentModel):
                 "a shortcut steps by the clean motion that a MSFlow predicts; its generator's process must be a Flow "
                 "with prediction x1"
             )
-        if guidance != 1 and not generator.condition_drop:
-            raise ValueError(
-                f"guidance is {guidance}, but condition_drop=0 gives the generator no empty text to be guided from; "
-                "use guidance=1"
-            )
+        check_guidance(generator.condition_drop, guidance=guidance)
         self.generator = generator
         self.finest, self.times = finest, GRIDS[grid](finest, process.source_scale)
         self.guidance, self.teacher_share = guidance, teacher_share

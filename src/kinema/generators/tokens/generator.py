@@ -9,6 +9,7 @@ from jaxtyping import Int
 from torch import Tensor, nn
 
 from kinema.generators import Generator
+from kinema.generators.texts import check_guidance
 from kinema.generators.tokens.request import TokenRequest, check_codes, token_request
 from kinema.generators.tokens.residual import ResidualSampling, ResidualTransformer
 from kinema.types import Known, Latents, LatentSpace, TextFeatures
@@ -37,9 +38,16 @@ class TokenGenerator(Generator):
         """Take a residual transformer; raises ValueError for one that is made for other codes."""
         if part != RESIDUAL:
             super().attach(part, module)
-        residual: ResidualTransformer = module  # type: ignore[assignment]
-        residual.completes(self.base_space)
-        self._residual = (residual,)
+        if not isinstance(module, ResidualTransformer):
+            raise ValueError(f"a {type(module).__name__} is no residual transformer; give the run of a residual stage")
+        module.completes(self.base_space)
+        self._residual = (module,)
+
+    def check_sampling(self, sampling: Any) -> None:
+        """Refuse guidance that the training of an attached residual transformer gave no ground, too."""
+        super().check_sampling(sampling)
+        for residual in self._residual:
+            check_guidance(residual.condition_drop, residual_guidance=self.residual_sampling(sampling).guidance)
 
     def request(
         self, text: TextFeatures, frames: Int[Tensor, " b"] | None, seeds: Int[Tensor, " b"], known: Known | None
