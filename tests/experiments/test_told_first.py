@@ -13,6 +13,7 @@ import pytest
 import torch
 from filelock import FileLock
 
+from kinema.atomic import write_json
 from kinema.data.store import PackedStore
 from kinema.experiments import evaluation, training
 from kinema.experiments.config import compose
@@ -23,6 +24,7 @@ from kinema.experiments.stages import get_stage
 from kinema.motion.representation import Representation
 from kinema.runs import weights
 from kinema.runs.build import build
+from kinema.runs.consent import ask
 from kinema.runs.folder import RunFolder
 from kinema.training import latents
 from kinema.types import MotionBatch
@@ -92,6 +94,18 @@ def test_a_run_of_another_method_is_told_with_the_method_to_add(overrides, momas
     (momask / "config.yaml").write_text("a: &a [1, 1]\nb: [*a, *a]\n")
     with pytest.raises(ValueError, match=r"config\.yaml has an alias"):
         describe(cfg)
+
+
+def test_a_given_run_reads_its_own_text_encoder(overrides, momask, tmp_path):
+    given = [*overrides, "method=momask", f"run={momask}"]
+    write_json(momask / "text.json", {"encoder": "hashed", "path": None})
+    one, other = (compose([*given, *more], "evaluate") for more in ([], ["text.path=/nowhere"]))
+    assert describe(one).folder.path == describe(other).folder.path
+    evaluation.check_reads(other, describe(other))
+    ask(momask, "text", str(tmp_path / "gone"))
+    write_json(momask / "text.json", {"encoder": "minilm", "path": str(tmp_path / "gone")})
+    with pytest.raises(FileNotFoundError, match="no MiniLM model"):
+        evaluation.check_reads(one, describe(one))
 
 
 def test_what_no_judge_of_a_row_reads_is_not_looked_for(overrides):

@@ -24,7 +24,7 @@ def same(a, b):
 
 def test_options_that_the_model_cannot_sample_by_are_refused(model, monkeypatch):
     monkeypatch.setattr(model.generator, "condition_drop", 0.0)
-    with pytest.raises(ValueError, match="guidance is 2.0, but condition_drop=0 gave this model no empty text"):
+    with pytest.raises(ValueError, match="but condition_drop=0 gave this model no empty text"):
         model.generate("a person walks", 40, seed=1)
     with pytest.raises(ValueError, match="solver"):
         model.generate("a person walks", 40, seed=1, guidance=1.0, solver="ddim")

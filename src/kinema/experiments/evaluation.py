@@ -22,7 +22,7 @@ from kinema.experiments.replications import EACH, REPLICATIONS, whole_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
 from kinema.experiments.sampling import build_sampling, sampling_spec
 from kinema.experiments.stages import companions_of, completions_of, get_stage, judges, stages
-from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
+from kinema.experiments.stages.base import Stage, asked_for, dims, given_run, reads_text
 from kinema.experiments.stages.judge import JudgeStage
 from kinema.locks import attempt
 from kinema.motion.skeleton import get_skeleton
@@ -145,7 +145,7 @@ def _identity(cfg: DictConfig, row: Row, store: PackedStore) -> dict[str, Any]:
         "protocol": {k: v for k, v in plain(cfg.scale.protocol).items() if k != "replications"},
         "runs": {name: fingerprint(run_identity(path)) for name, path in row.runs.items()},
         "sampling": sampling_spec(cfg) if cfg.source == "generation" else None,
-        "text": plain(cfg.text) if cfg.source in ("generation", "nearest") else None,
+        "text": plain(cfg.text) if reads_text(cfg) else None,
     }
     if store.knowledge is not None:  # oracles, breakdowns and what counts as memorised rest on it
         identity["knowledge"] = store.knowledge
@@ -263,11 +263,16 @@ def _check_method(cfg: DictConfig) -> None:
 def check_reads(cfg: DictConfig, row: Row) -> None:
     """Find the vocabularies and the text encoder, which are read when every run is made."""
     from kinema.experiments.instantiate import check_text  # here too
+    from kinema.pipeline.folder import open_text_encoder
 
     for stage in row.asks:
         stage.vocabulary(cfg)
-    if cfg.source in ("generation", "nearest"):
+    if reads_text(cfg):
         check_text(cfg)
+    elif cfg.source == "generation":
+        (run,) = row.subject.values()
+        if RunFolder(run).weights.is_file():  # its absence is told where it is read
+            open_text_encoder(run)
 
 
 def _check_control(cfg: DictConfig) -> None:

@@ -50,10 +50,10 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
         check_part(trained, GENERATOR)
         return read_parts(trained, device, {own: folder, **given})
     generator, meta = load_part(folder, device, GENERATOR)
-    links, text = upstream(folder), read_text_encoder(folder)
-    for file, key, names in ((UPSTREAM, TOKENIZER, links), (TEXT, "encoder", text)):
-        if key not in names:
-            raise ValueError(f"{folder / file} names no {key}; train or import this run again")
+    links = upstream(folder)
+    if TOKENIZER not in links:
+        raise ValueError(f"{folder / UPSTREAM} names no {TOKENIZER}; train or import this run again")
+    encoder, text = open_text_encoder(folder, device)
     allowed = (*generator.parts, LENGTH)
     for name in sorted(name for name, run in given.items() if run is not None and name not in allowed):
         takes = ", ".join(f"{part}=" for part in allowed)
@@ -61,7 +61,6 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
     tokenizer, _ = load_part(links.pop(TOKENIZER), device, TOKENIZER)
     runs: dict[str, str | Path | None] = {**links, **given}
     check_representation(meta.get("representation"), tokenizer)
-    encoder = build_text_encoder(text["encoder"], _text_path(folder, text), device)
     if meta.get("text", encoder.identity) != encoder.identity:
         variable = ENCODERS[text["encoder"]].variable
         told = f"; set {variable}=FOLDER to where that one lies" if variable else ""
@@ -70,6 +69,14 @@ def read_parts(folder: Path, device: torch.device, given: Mapping[str, str | Pat
         )
     parts = {name: load_part(Path(run), device, name)[0] for name, run in runs.items() if run is not None}
     return tokenizer, generator, encoder, parts, {**meta, "text": text}
+
+
+def open_text_encoder(folder: Path, device: torch.device | str = "cpu") -> tuple[FrozenTextEncoder, dict[str, Any]]:
+    """Find the text encoder that a run's model reads, and how it is named; raises ValueError where none is."""
+    text = read_text_encoder(folder)
+    if "encoder" not in text:
+        raise ValueError(f"{folder / TEXT} names no encoder; train or import this run again")
+    return build_text_encoder(text["encoder"], _text_path(folder, text), device), text
 
 
 def _text_path(folder: Path, text: dict[str, Any]) -> str | None:

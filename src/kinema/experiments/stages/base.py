@@ -109,6 +109,11 @@ def asked_for(cfg: DictConfig, key: str = "run") -> Path | None:
     return find_run(run, cfg.paths.runs) if run else None
 
 
+def reads_text(cfg: DictConfig) -> bool:
+    """Whether a row reads what the configuration's text encoder makes; a run that is given has its own."""
+    return cfg.source == "nearest" or (cfg.source == "generation" and asked_for(cfg) is None)
+
+
 def dims(cfg: DictConfig) -> str:
     """Name the method's representation as its option is called."""
     kind, variant = cfg.representation.kind, cfg.representation.variant
