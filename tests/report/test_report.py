@@ -58,6 +58,15 @@ def texts(table: dict, folder, motions=None) -> dict[str, str]:
     return {path.name: path.read_text() for path in render(table, folder, motions)}
 
 
+def test_a_value_of_fewer_replications_than_its_row_says_so(table, tmp_path):
+    table["rows"][1]["results"].append({"r1": 0.54})
+    (cell, short) = grid(table).lines[1].cells
+    assert (cell.ours.text(2), short.ours.text(2)) == ("0.52 ± 0.05", "1.05 ± 0.64 (n = 2)")
+    table["rows"][1]["results"] = [{"r1": 0.5}, {"r1": 0.5, "fid": 1.0}]
+    assert grid(table).lines[1].cells[1].ours.text(2) == "1.00 (n = 1)"
+    assert "1.00 (n = 1)" in texts(table, tmp_path)["table.md"]
+
+
 def test_interval_of_few_replications_is_students():
     values = [0.50, 0.52, 0.49, 0.55]
     value = measure(values)

@@ -126,6 +126,7 @@ def _line(row: dict[str, Any], columns: tuple[Column, ...], form: Form) -> Line:
     for column in columns:
         found = [float(r[column.key]) for r in results if r.get(column.key) is not None]
         ours, paper = measure(found, form), _published(published.get(column.key))
+        ours = ours and replace(ours, fewer=len(found) < len(results))
         cells.append(Cell(ours, paper, flagged=column.flag is not None and column.flag.marks(ours)))
     label = row.get("label", row["key"])
     why = row.get("cannot") or ""

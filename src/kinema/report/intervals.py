@@ -17,23 +17,28 @@ PUBLISHED_COUNT = 20
 
 @dataclass(frozen=True)
 class Value:
-    """Hold a mean, the half-width of its 95 % interval (None: unknown) and how many replications it rests on."""
+    """Hold a mean, the half-width of its 95 % interval (None: unknown) and how many values it rests on.
+
+    `fewer`: not all of the row's replications or seeds have this metric, which the text says.
+    """
 
     mean: float
     half: float | None
     count: int | None = None
+    fewer: bool = False
 
     def text(self, digits: int) -> str:
         """Write the value with its interval, e.g. `0.500 ± 0.004`; an interval is never rounded to nothing."""
         if not math.isfinite(self.mean):
             return "not finite"
         mean = f"{self.mean:.{digits}f}"
+        told = f" (n = {self.count})" if self.fewer else ""
         if self.half is None:
-            return mean
+            return mean + told
         half = f"{self.half:.{digits}f}"
         if self.half > 1e-6 and float(half) == 0:  # below, it is what float32 leaves of zero
             half = f"{self.half:.1g}"
-        return f"{mean} ± {half}"
+        return f"{mean} ± {half}{told}"
 
 
 def measure(values: Sequence[float], form: Form = "student") -> Value | None:
