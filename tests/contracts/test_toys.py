@@ -176,6 +176,9 @@ def test_a_posterior_is_sampled_anew_in_training_and_by_the_steps_draws_alone(wo
     first, again, other = (source(batch, torch.Generator().manual_seed(s)).values for s in (1, 1, 2))
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
+    shares = [source(batch, torch.Generator().manual_seed(1), (rank, 2)).values for rank in (0, 1, 0)]
+    assert torch.equal(shares[0], shares[2])
+    assert not torch.equal(shares[0], shares[1])
     low, high = source.range()
     assert low.shape == high.shape == (representation.width,)
     assert (low < high).all()

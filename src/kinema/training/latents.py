@@ -21,6 +21,7 @@ from kinema.files.arrays import Wanted, map_npy, read_npy
 from kinema.files.json import read_json
 from kinema.files.kinds import DamagedError, refuse
 from kinema.runs.console import console
+from kinema.seeds import training_seed
 from kinema.tokenizers import MotionTokenizer
 from kinema.tokenizers.posterior import PosteriorTokenizer, draw
 from kinema.types import Latents, MotionBatch
@@ -154,7 +155,14 @@ class EncodeEachTime:
     def __call__(
         self, batch: MotionBatch, generator: torch.Generator | None = None, shard: tuple[int, int] = (0, 1)
     ) -> Latents:
-        """Encode the batch without gradients; what is drawn comes from `generator`."""
+        """Encode the batch without gradients; what is drawn comes from `generator`, on every rank something else.
+
+        How such a tokenizer draws is its own: of a global batch's draws nobody can give it a share.
+        """
+        rank, world = shard
+        if generator is not None and world > 1 and not self.tokenizer.deterministic:
+            seed = int(torch.randint(2**62, (), generator=generator, device=generator.device))
+            generator = torch.Generator(generator.device).manual_seed(training_seed(seed, rank))
         return self.tokenizer.encode(batch.to(self.device), generator=generator)
 
     @torch.no_grad()
