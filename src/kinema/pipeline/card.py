@@ -150,8 +150,13 @@ def _sources(card: Card) -> str:
     return "\n".join([*head, *lines, "", last, ""]) if lines else ""
 
 
+BESIDE = """\
+Read them beside what real motion and the training clip of the nearest caption get on the same split (`source=real` and
+`source=nearest` in place of `source=generation`): where a lookup does as well, they don't show that a model generalises."""
+
+
 def _figures(card: Card) -> str:
-    found = ["## Figures", ""] if card.figures else []
+    found = ["## Figures", "", BESIDE, ""] if card.figures else []
     for one in card.figures:
         found += [f"On the {one['split']} split:", "", "| | |", "|---|---|"]
         found += [f"| {name} | {value} |" for name, value in one["scores"].items()]
