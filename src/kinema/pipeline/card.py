@@ -152,7 +152,7 @@ def _sources(card: Card) -> str:
 
 BESIDE = """\
 Read them beside what real motion and the training clip of the nearest caption get on the same split (`source=real` and
-`source=nearest` in place of `source=generation`): where a lookup does as well, they don't show that a model generalises."""
+`source=nearest` in place of `source=generation`): where a lookup does as well, they don't show that it generalises."""
 
 
 def _figures(card: Card) -> str:
