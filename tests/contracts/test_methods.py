@@ -17,6 +17,7 @@ from kinema.experiments.stages.fitted import FittedStage
 from kinema.generators import Generator
 from kinema.generators.remodiffuse import ReMoDiffuse
 from kinema.pipeline import TextToMotion
+from kinema.text.hashed import HashedTextEncoder
 from kinema.types import Latents
 
 METHODS = sorted(file.stem for file in (CONF / "method").glob("*.yaml"))
@@ -130,6 +131,16 @@ def test_it_generates_edits_is_saved_and_comes_back(pipeline, method, tmp_path):
     again = TextToMotion.from_run(tmp_path / "saved", device="cpu")
     for first, second in zip(motions, again.generate(TEXTS, frames, seed=3), strict=True):
         np.testing.assert_array_equal(first.features, second.features)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_text_encoder_of_another_width_is_refused(make, method):
+    tokenizer, generator, _ = make(method)
+    if method == "motiongpt":  # reads the words themselves
+        assert (generator.text_dim, generator.token_dim) == (None, None)
+        return
+    with pytest.raises(ValueError, match=r"the generator reads text .* of 64 numbers, hashed-32 makes them of 32"):
+        TextToMotion(tokenizer, generator, HashedTextEncoder(dim=32))
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -24,10 +24,13 @@ class TrainingLatents(Protocol):
 class LatentModel(nn.Module, ABC):
     """What is trained on latents and their text: a generator, or a part that stands beside one.
 
-    `space` is the latents it is for (None: it reads their lengths alone), `spec` what rebuilds the module.
+    `space` is the latents it is for (None: it reads their lengths alone), `spec` what rebuilds the module. `text_dim`
+    and `token_dim` are the widths of the pooled text vector and the token features that it reads (None: it reads none).
     """
 
     space: LatentSpace | None = None
+    text_dim: int | None = None
+    token_dim: int | None = None
     spec: dict[str, Any] | None = None
 
     @property

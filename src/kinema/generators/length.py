@@ -22,6 +22,7 @@ class LengthEstimator(LatentModel):
     @checked
     def __init__(self, text_dim: Size, classes: Classes = 50, downsample: Size = 4, dropout: OpenShare = 0.2) -> None:
         super().__init__()
+        self.text_dim = text_dim
         self.classes = classes
         self.downsample = downsample
         layers: list[nn.Module] = []

@@ -108,6 +108,7 @@ class MMM(CodebookReader):
         sampling: MmmSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, code_dim=code_dim, max_latents=max_latents, downsample=downsample)
+        self.text_dim, self.token_dim = text_dim, token_dim if cross_layers else None
         self.pkeep = pkeep
         self.sampling = sampling or MmmSampling()
         self.mask_id = codebook_size + 2

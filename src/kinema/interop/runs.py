@@ -75,7 +75,8 @@ def check_parts(parts: Mapping[str, Any]) -> None:
             generator.attach(name, part)
         if tokenizer is not None and isinstance(part, LatentModel):
             check_pair(tokenizer, part)
-    widths = {name: part.spec["text_dim"] for name, part in parts.items() if "text_dim" in part.spec}
+    readers = {name: part for name, part in parts.items() if isinstance(part, LatentModel)}
+    widths = {name: part.text_dim for name, part in readers.items() if part.text_dim is not None}
     if len(set(widths.values())) > 1:
         listed = ", ".join(f"{name} {width}" for name, width in widths.items())
         raise ValueError(f"the parts read text vectors of different widths ({listed}); use parts of one text encoder")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
+from torch import nn
 
 from kinema.generators import LatentModel
 from kinema.text.frozen import FrozenTextEncoder
@@ -40,14 +41,13 @@ def check_pair(tokenizer: MotionTokenizer, generator: LatentModel) -> None:
     _check_codebook(who, tokenizer, generator)
 
 
-def check_text(encoder: FrozenTextEncoder, parts: Mapping[str, Any]) -> None:
-    """Raise ValueError if a part was built (its spec's `text_dim`, `token_dim`) for text features of other widths."""
-    for name, part in parts.items():
-        for width, kind, makes in (
-            ("text_dim", "vectors", encoder.dim),
-            ("token_dim", "token features", encoder.token_dim),
+def check_text(encoder: FrozenTextEncoder, parts: Mapping[str, nn.Module]) -> None:
+    """Raise ValueError if a part reads text features of other widths."""
+    for name, part in ((name, part) for name, part in parts.items() if isinstance(part, LatentModel)):
+        for kind, reads, makes in (
+            ("vectors", part.text_dim, encoder.dim),
+            ("token features", part.token_dim, encoder.token_dim),
         ):
-            reads = (part.spec or {}).get(width)
             if reads is not None and reads != makes:
                 raise ValueError(
                     f"the {name} reads text {kind} of {reads} numbers, {encoder.identity} makes them of {makes}; name "

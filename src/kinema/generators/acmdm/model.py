@@ -60,3 +60,4 @@ class ACMDM(SequenceDiffusion):
             average=per_sequence,
             sampling=sampling or FrameSampling(guidance=3.0),
         )
+        self.text_dim = text_dim

@@ -66,6 +66,7 @@ class BAD(CodebookReader):
         sampling: BadSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, code_dim=code_dim, max_latents=max_latents, downsample=downsample)
+        self.text_dim, self.token_dim = text_dim, token_dim if cross_layers else None
         self.sampling = sampling or BadSampling()
         self.first_mask = codebook_size + 2
         self.conditions = 1 + time_token

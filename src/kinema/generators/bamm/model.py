@@ -65,6 +65,7 @@ class BAMM(Slots):
         sampling: BammSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
+        self.text_dim = text_dim
         self.end, self.pad = codebook_size, codebook_size + 1
         self.condition_drop = condition_drop
         self.sampling = sampling or BammSampling()

@@ -68,6 +68,7 @@ class T2MGPT(TokenGenerator):
         sampling: GptSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
+        self.text_dim, self.token_dim = text_dim, token_dim if cross_layers else None
         if cross_layers and token_dim is None:
             raise ValueError(f"cross_layers={cross_layers} need token_dim, the width of the text's word features")
         self.end, self.pad = codebook_size, codebook_size + 1

@@ -74,6 +74,7 @@ class MARDM(Generator):
         sampling: MarSampling | None = None,
     ) -> None:
         super().__init__()
+        self.text_dim, self.token_dim = text_dim, token_dim
         self.condition_drop = condition_drop
         self.batch_multiplier = batch_multiplier
         self.space = LatentSpace("continuous", latent_dim, max_latents, downsample)

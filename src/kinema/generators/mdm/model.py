@@ -64,3 +64,4 @@ class MDM(FrameDiffusion):
             average=per_sequence,
             sampling=sampling or FrameSampling(guidance=2.5),
         )
+        self.text_dim, self.token_dim = text_dim, token_dim

@@ -71,6 +71,7 @@ class MLD(SequenceDiffusion):
             average=per_sequence,
             sampling=sampling or LatentSampling(guidance=7.5, solver="ddim", solver_steps="leading50"),
         )
+        self.text_dim = text_dim
         self.register_buffer("empty_text", torch.full((text_dim,), torch.nan))
 
     @property

@@ -109,6 +109,7 @@ class MoMask(TokenGenerator):
         sampling: MoMaskSampling | None = None,
     ) -> None:
         super().__init__(codebook_size=codebook_size, max_latents=max_latents, downsample=downsample)
+        self.text_dim = text_dim
         self.mask_id, self.pad_id = codebook_size, codebook_size + 1
         self.condition_drop = condition_drop
         self.sampling = sampling or MoMaskSampling()

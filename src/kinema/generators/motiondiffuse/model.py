@@ -70,3 +70,4 @@ class MotionDiffuse(FrameDiffusion):
             average=per_frame,
             sampling=sampling or FrameSampling(),
         )
+        self.token_dim = token_dim

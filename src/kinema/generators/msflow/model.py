@@ -97,6 +97,7 @@ class MSFlow(SequenceDiffusion):
             batch_multiplier=batch_multiplier,
             sampling=sampling or FrameSampling(guidance=3.0, solver="heun", solver_steps=49),
         )
+        self.token_dim = token_dim
 
         if physics is not None and physics.used and not (isinstance(process, Flow) and process.prediction == "x1"):
             raise ValueError(

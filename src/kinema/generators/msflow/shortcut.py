@@ -99,6 +99,7 @@ class Shortcut(LatentModel):
         sampling: ShortcutSampling | None = None,
     ) -> None:
         super().__init__()
+        self.token_dim = generator.token_dim
         process, denoiser = generator.process, generator.denoiser
         if not isinstance(denoiser, MsflowDenoiser) or not isinstance(process, Flow) or process.prediction != "x1":
             raise ValueError(

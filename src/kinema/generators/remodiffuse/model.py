@@ -121,6 +121,7 @@ class ReMoDiffuse(FrameDiffusion):
             average=per_frame,
             sampling=sampling or MixtureSampling(),
         )
+        self.token_dim = token_dim
         self.steps = len(process.schedule.betas)
         self.retrieved_dim, self.neighbours = retrieved_dim or token_dim, neighbours
         self.length_weight, self.exclusion = length_weight, exclusion

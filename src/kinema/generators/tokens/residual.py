@@ -86,6 +86,7 @@ class ResidualTransformer(LatentModel):
         sampling: ResidualSampling | None = None,
     ) -> None:
         super().__init__()
+        self.text_dim = text_dim
         self.codebook_size = codebook_size
         self.quantizers = quantizers
         self.space = LatentSpace("codes", None, max_latents, downsample, codebook_size, quantizers)
