@@ -16,11 +16,14 @@ from kinema.training.recipe import Recipe
 from kinema.types import MotionBatch
 
 
-def test_the_average_is_the_published_one():
-    average, current = torch.tensor(1.0), torch.tensor(0.0)
-    assert EMA(0.9, warmup=False)._average(average, current, 5).item() == pytest.approx(0.9)
-    assert EMA(0.9)._average(average, current, 0).item() == pytest.approx(0.1)
-    assert EMA(0.9)._average(average, current, 10**6).item() == pytest.approx(0.9)
+@pytest.mark.parametrize(
+    ("ema", "count", "expected"), [(EMA(0.9, warmup=False), 5, 0.9), (EMA(0.9), 0, 0.1), (EMA(0.9), 10**6, 0.9)]
+)
+def test_the_average_is_the_published_one(ema, count, expected):
+    averages = [torch.ones(2), torch.ones(3, 1)]
+    ema._average(averages, [torch.zeros(2), torch.zeros(3, 1)], count)
+    for average in averages:
+        torch.testing.assert_close(average, torch.full_like(average, expected))
 
 
 def test_the_optimiser_has_the_recipes_numbers():

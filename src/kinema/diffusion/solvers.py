@@ -67,4 +67,8 @@ def dopri5(predict: Predict, x: Tensor, *, end: float = 1.0, rtol: float = 1e-3,
     from torchdiffeq import odeint
 
     span = torch.tensor([0.0, end], device=x.device, dtype=x.dtype)
-    return odeint(lambda t, x: predict(x, t.reshape(1)), x, span, rtol=rtol, atol=atol, method="dopri5")[-1]
+    options = {"dtype": x.dtype} if x.device.type == "mps" else None  # its times are float64, which MPS has not
+    found = odeint(
+        lambda t, x: predict(x, t.reshape(1)), x, span, rtol=rtol, atol=atol, method="dopri5", options=options
+    )
+    return found[-1]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, ClassVar
 
-import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.callbacks import WeightAveraging
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from kinema.training.divergence import check_weights
 from kinema.training.modules import StageModule
@@ -24,13 +24,17 @@ class EMA(WeightAveraging):
     """
 
     def __init__(self, decay: float, warmup: bool = True) -> None:
-        super().__init__(use_buffers=False, avg_fn=self._average)
+        super().__init__(use_buffers=False, multi_avg_fn=self._average)
         self.decay = decay
         self.warmup = warmup
 
-    def _average(self, average: Tensor, current: Tensor, count: Tensor | int) -> Tensor:
-        decay = min(self.decay, (1 + int(count)) / (10 + int(count))) if self.warmup else self.decay
-        return torch.lerp(average, current, 1 - decay)
+    def _average(self, averages: Any, currents: Any, count: Tensor | int) -> None:
+        """Move all parameters at once: one by one, each would ask the device for the count."""
+        decay = self.decay
+        if self.warmup:
+            steps = int(count)
+            decay = min(decay, (1 + steps) / (10 + steps))
+        get_ema_multi_avg_fn(decay)(averages, currents, count)
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Follow the module to its device: Lightning copies it before it moves it."""

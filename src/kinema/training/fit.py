@@ -67,6 +67,7 @@ def fit(
         raise ValueError(f"train.select={recipe.select!r} asks for scores, and nothing scores; choose last or best")
     last = folder / "checkpoints" / "last.ckpt"
     saver = Checkpoints(last, recipe.checkpoint_every, recipe.validate_every)
+    selecting = [best] if recipe.select == best.keeps else []  # who keeps nothing copies no weights
     averaging = [EMA(recipe.ema, recipe.ema_warmup)] if recipe.ema else []
     bars = [BARS[machine.progress]()] if machine.progress != "none" else []
     trainer = Trainer(
@@ -83,7 +84,7 @@ def fit(
         num_sanity_val_steps=0,
         log_every_n_steps=machine.log_every,
         logger=False,
-        callbacks=[*averaging, best, RunRecord(record, pace, machine.log_every), *callbacks, *bars, saver],
+        callbacks=[*averaging, *selecting, RunRecord(record, pace, machine.log_every), *callbacks, *bars, saver],
         plugins=[AtomicCheckpointIO(module.state_dict())],
         enable_checkpointing=False,
         enable_progress_bar=bool(bars),

@@ -19,6 +19,9 @@ from kinema.training.divergence import FirstLoss, check_loss
 from kinema.training.recipe import Recipe
 from kinema.types import Latents, Losses, MotionBatch, TextFeatures
 
+FUSED = ("cpu", "cuda")
+"""Where an optimiser's step is one kernel."""
+
 
 class Unregistered:
     """Hold frozen helpers outside state_dict, EMA, DDP and checkpoints; copies share them."""
@@ -93,7 +96,8 @@ class StageModule(LightningModule):
         if (self.global_step + 1) % self.trainer.log_every_n_steps == 0:  # type: ignore[attr-defined]  # its connector's
             self.check_losses()
         self.log_dict({f"train/{k}": v.detach() for k, v in losses.items()}, batch_size=len(batch.lengths))
-        self.log("loss", losses["loss"].detach(), prog_bar=True, logger=False)
+        if self.trainer.progress_bar_callback is not None:  # who shows a number waits for the device
+            self.log("loss", losses["loss"].detach(), prog_bar=True, logger=False)
         return losses["loss"]
 
     def check_losses(self) -> None:
@@ -117,7 +121,9 @@ class StageModule(LightningModule):
 
     def configure_optimizers(self) -> OptimizerLRScheduler:
         """Make the recipe's optimiser and its schedule by steps."""
-        optimizer = self.recipe.optimizer(self.model.parameters())
+        # Lightning leaves scaled gradients (16-mixed) to a fused step, and they would be clipped as they are.
+        fused = self.device.type in FUSED and self.trainer.precision != "16-mixed"
+        optimizer = self.recipe.optimizer(self.model.parameters(), fused=fused)
         # A plain function: of a bound method the schedule would write the attributes into every checkpoint.
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: self.recipe.factor(step))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
