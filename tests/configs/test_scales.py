@@ -36,9 +36,7 @@ PARTS = [
 METHOD_OF = {"msflow": "msflow_67_few", "rvq": "momask", "momask": "momask", "bamm": "bamm", "vq_attt2m": "attt2m"}
 METHOD_OF |= {"latent_flow": "latent_flow", "mar_words": "mardm_words"}
 METHOD_OF |= {"joint_ae": "acmdm", "acmdm": "acmdm", "acmdm_xl": "acmdm", "acmdm_raw": "acmdm_raw"}
-METHOD_OF |= {"vae": "mld", "mdm_wide": "mdm"} | {
-    option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse", "mld")
-}
+METHOD_OF |= {"vae": "mld"} | {option: option for option in ("mdm", "mdm_1000", "motiondiffuse", "remodiffuse", "mld")}
 
 composed = cache(lambda *overrides: compose(list(overrides)))
 

@@ -96,8 +96,6 @@ def clip_of(corpus: Path, split: str = "train") -> Path:
             ["generator.model.width=1000000000"],
             ["generator.model.width=1000000000: must be a whole number from 1"],
         ),
-        (["method=t2m_gpt", "diffusion=ddpm"], ["error: diffusion (process, solver", "isn't read by method=t2m_gpt"]),
-        (["method=t2m_gpt", "diffusion.sampling.steps=7"], ["error: diffusion (steps) isn't read by method=t2m_gpt"]),
         (["generator.model.condition_drop=3"], ["error: generator.model.condition_drop=3: must be"]),
         (["length.model.classes=many", "length.train.steps=1"], ["error: length.model.classes=many: must be"]),
         (["tokenizer.model.dropout=no"], ["error: tokenizer.model.dropout=no: must be a finite number"]),

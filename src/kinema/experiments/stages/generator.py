@@ -41,22 +41,15 @@ class GeneratorStage(ConditionedStage):
         return {**super().spec(cfg), "sampling": plain(self.config(cfg).sampling)}
 
     def check(self, cfg: DictConfig, store: PackedStore) -> None:
-        """Check the sampling under its own key, too, and that what is said of diffusion is read."""
-        sampling, grid = plain(self.config(cfg).sampling), cfg.diffusion.sampling.get("grid")
+        """Check the sampling under its own key, too, and that a flow's grid of times is read."""
+        sampling, grid = plain(self.config(cfg).sampling), OmegaConf.select(cfg, "diffusion.sampling.grid")
         build(sampling, at=f"{self.node}.sampling")
-        said = {"process": cfg.diffusion.process, **cfg.diffusion.sampling}
-        said = {key: value for key, value in said.items() if value is not None}
-        if said and "${diffusion." not in OmegaConf.to_yaml(self.config(cfg)):
-            raise ValueError(
-                f"diffusion ({', '.join(said)}) isn't read by method={cfg.method.name}, which steps through no noise; "
-                "leave it out"
-            )
         if grid not in (None, "uniform") and "solver_grid" not in sampling:
             raise ValueError(
                 f"diffusion.sampling.grid={grid} isn't read by method={cfg.method.name}; give it "
                 f"+{self.node}.sampling.solver_grid={grid}"
             )
-        if cfg.diffusion.sampling.get("clip_latents") and "clip_latents" not in sampling:
+        if OmegaConf.select(cfg, "diffusion.sampling.clip_latents") and "clip_latents" not in sampling:
             raise ValueError(
                 f"diffusion.sampling.clip_latents=true isn't read by method={cfg.method.name}, which clips nothing; "
                 "leave it out"
