@@ -30,7 +30,7 @@ from kinema.motion.skeleton import Skeleton
 from kinema.motion.view.html import save_html
 from kinema.options import Threads, check, check_value
 from kinema.pipeline import TextToMotion
-from kinema.pipeline.arguments import BATCH, PARTS, frame_counts
+from kinema.pipeline.arguments import BATCH, CHAIN_HINT, frame_counts
 from kinema.pipeline.editing import largest_seam, parse_ranges
 from kinema.pipeline.models import DEFAULT, find_model
 from kinema.pipeline.naming import is_template
@@ -91,7 +91,7 @@ def _lengths(model: TextToMotion, asked: list[Take], options: argparse.Namespace
     """Return the frames of each motion: a prompt's own, else those of the command line; None is the model's to say."""
     fps = model.skeleton.fps
     (usual,) = frame_counts(options.frames, options.seconds, 1, fps=fps, maximum=model.max_frames)
-    return model.lengths(frames_of(asked, usual, fps=fps, maximum=model.max_frames, fix=PARTS), None, len(asked))
+    return model.lengths(frames_of(asked, usual, fps=fps, maximum=model.max_frames, fix=CHAIN_HINT), None, len(asked))
 
 
 def edit(options: argparse.Namespace) -> None:

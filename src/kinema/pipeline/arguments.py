@@ -19,12 +19,12 @@ BATCH = 32
 ENDLESS = 10**9
 """Frames that nobody means; more are not counted."""
 
-PARTS = "; longer ones are made of parts (--chain, TextToMotion.chain)"
+CHAIN_HINT = "; longer ones are made of parts (--chain, TextToMotion.chain)"
 """What to do about a motion that is to be longer than a model's longest."""
 
 
 def frame_counts(
-    frames: Any, seconds: Any, size: int, *, fps: float, maximum: int, fix: str = PARTS
+    frames: Any, seconds: Any, size: int, *, fps: float, maximum: int, fix: str = CHAIN_HINT
 ) -> list[int | None]:
     """Return the frames of each of `size` samples from one value or one per sample; None where none are asked for.
 
