@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from kinema.evaluation.sources import Source, answer
+from kinema.evaluation.sources import Source, Together, answer, answers
+from kinema.evaluation.together import Asked
 from kinema.motion.cleaning import lock_rows
 from kinema.motion.lifting import lift
 from kinema.motion.skeleton import Skeleton
 from kinema.types import MotionBatch
 
 
-class Changed(Source):
+class Changed(Together):
     """Answer as another source does, each motion's rows changed; captured motion's too.
 
     What that changes on real motion is what the change costs by itself.
@@ -37,9 +39,11 @@ class Changed(Source):
     def change(self, rows: Float[np.ndarray, "t w"]) -> Float[np.ndarray, "t d"]:
         """Return the changed rows of one motion."""
 
-    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
         """Change every answer."""
-        made = self.source(batch, seeds)
+        return [self._changed(made) for made in answers(self.source, asked)]
+
+    def _changed(self, made: MotionBatch) -> MotionBatch:
         rows = made.features.float().cpu().numpy()
         changed = [self.change(motion[:length]) for motion, length in zip(rows, made.lengths.tolist(), strict=True)]
         full = np.zeros((*rows.shape[:2], changed[0].shape[1]), dtype=np.float32)

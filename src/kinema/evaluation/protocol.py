@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 
 import torch
-from jaxtyping import Int
 from torch import Tensor
 
 from kinema.evaluation.benchmark import Benchmark
@@ -16,7 +15,8 @@ from kinema.evaluation.encoders.base import TextMotionEvaluator
 from kinema.evaluation.metrics.finite import require_finite
 from kinema.evaluation.scores import Observation, Scores
 from kinema.evaluation.settings import EvaluationProtocol
-from kinema.evaluation.sources import Source
+from kinema.evaluation.sources import Source, answers
+from kinema.evaluation.together import Asked, select
 from kinema.evaluation.training_set import TrainingSet
 from kinema.seeds import protocol_seeds
 from kinema.types import MotionBatch
@@ -28,6 +28,9 @@ __all__ = [
     "evaluate_replication",
     "select",
 ]
+
+AHEAD = 8
+"""Pools that a source is asked at once: enough to find motions of like length for its batches."""
 
 Fields = Callable[[MotionBatch], dict[str, list[str]]]
 
@@ -72,12 +75,8 @@ def evaluate_replication(
     benchmark = Benchmark(protocol, replication, judge.device, training)
     parts: dict[str, dict[str, Scores]] = {}
     samples = references = None
-    first = 0
-    for real in islice(batches, protocol.max_batches):
-        real = _whole_pools(real.to(judge.device), protocol)
-        if not len(real.lengths):
-            continue
-        generated = _answer(source, real, protocol, replication, first)
+    n = 0
+    for first, real, generated in _answered(source, _pools(batches, protocol, judge.device), protocol, replication):
         seen = judge.observe(real, generated, first, source.reconstructs)
         total.update(seen)
         benchmark.update(seen)
@@ -87,28 +86,14 @@ def evaluate_replication(
         if samples is None:
             rows = torch.arange(min(watch, len(real.lengths)), device=judge.device)
             samples, references = select(generated, rows), select(real, rows)
-        first += len(real.lengths)
-    if first == 0:
+        n = first + len(real.lengths)
+    if n == 0:
         raise ValueError(
             f"no batch holds a whole pool of {protocol.pool}; use a larger split, a smaller pool or leftover='keep'"
         )
     judge.save()
     breakdowns = {name: {v: s.compute() for v, s in sorted(values.items())} for name, values in parts.items()}
     return ReplicationResult(total.compute() | benchmark.compute(), breakdowns, samples, references)
-
-
-def select(batch: MotionBatch, rows: Int[Tensor, " n"]) -> MotionBatch:
-    """Take some rows of a batch."""
-    chosen = rows.tolist()
-    return replace(
-        batch,
-        features=batch.features[rows],
-        lengths=batch.lengths[rows],
-        entries=None if batch.entries is None else batch.entries[rows],
-        starts=None if batch.starts is None else batch.starts[rows],
-        captions=[batch.captions[i] for i in chosen],
-        clip_ids=[batch.clip_ids[i] for i in chosen] if batch.clip_ids else [],
-    )
 
 
 class _Judge:
@@ -164,16 +149,36 @@ def _whole_pools(batch: MotionBatch, protocol: EvaluationProtocol) -> MotionBatc
     return select(batch, torch.arange(size - rest, device=batch.lengths.device))
 
 
-def _answer(
-    source: Source, batch: MotionBatch, protocol: EvaluationProtocol, replication: int, first: int, repeat: int = 0
-) -> MotionBatch:
+def _pools(batches: Iterable[MotionBatch], protocol: EvaluationProtocol, device: torch.device) -> Iterator[MotionBatch]:
+    """Yield the batches of a replication without the rows that the protocol drops."""
+    for batch in islice(batches, protocol.max_batches):
+        real = _whole_pools(batch.to(device), protocol)
+        if len(real.lengths):
+            yield real
+
+
+def _answered(
+    source: Source, pools: Iterator[MotionBatch], protocol: EvaluationProtocol, replication: int
+) -> Iterator[tuple[int, MotionBatch, MotionBatch]]:
+    """Yield each pool with the number of rows before it and the source's answer."""
+    first = 0
+    while group := list(islice(pools, AHEAD)):
+        asked, firsts = [], []
+        for real in group:
+            asked.append((real, protocol_seeds(protocol.seed, replication, first, len(real.lengths))))
+            firsts.append(first)
+            first += len(real.lengths)
+        yield from zip(firsts, group, _answers(source, asked), strict=True)
+
+
+def _answers(source: Source, asked: Sequence[Asked]) -> list[MotionBatch]:
     """Ask the source, and refuse NaN and infinity by the clip's name."""
-    seeds = protocol_seeds(protocol.seed, replication, first, len(batch.lengths), repeat)
-    generated = source(batch, seeds)
-    names = batch.clip_ids or [c.text for c in batch.captions]
-    require_finite(batch.features, "real features", names)
-    require_finite(generated.features, f"features by {source.label!r}", names)
-    return generated
+    made = answers(source, asked)
+    for (real, _), generated in zip(asked, made, strict=True):
+        names = real.clip_ids or [c.text for c in real.captions]
+        require_finite(real.features, "real features", names)
+        require_finite(generated.features, f"features by {source.label!r}", names)
+    return made
 
 
 def _update_parts(parts: dict[str, dict[str, Scores]], fields: Fields | None, seen: Observation, total: Scores) -> None:
@@ -192,7 +197,6 @@ def _repeats(
     """Embed all answers to the batch's share of the first `mm_texts` captions, (texts, repeats, e)."""
     count = min(protocol.mm_texts - first, len(seen.index))
     head = select(seen.real, torch.arange(count, device=seen.index.device))
-    embeddings = [seen.motion[:count]]
-    for repeat in range(1, protocol.mm_repeats):
-        embeddings.append(judge.motion(_answer(source, head, protocol, replication, first, repeat)))
-    return torch.stack(embeddings, dim=1)
+    seeds = [protocol_seeds(protocol.seed, replication, first, count, n) for n in range(1, protocol.mm_repeats)]
+    repeats = _answers(source, [(head, drawn) for drawn in seeds])
+    return torch.stack([seen.motion[:count], *(judge.motion(motions) for motions in repeats)], dim=1)

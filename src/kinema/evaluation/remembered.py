@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +15,8 @@ from torch import Tensor
 
 from kinema.atomic import replacing
 from kinema.evaluation.cache import text_key
-from kinema.evaluation.sources import Generated, Source, answer
+from kinema.evaluation.sources import Generated, Together, answer
+from kinema.evaluation.together import Asked
 from kinema.files.arrays import Wanted, read_npz
 from kinema.files.kinds import DamagedError
 from kinema.locks import hold
@@ -59,7 +62,7 @@ class Made:
         return cls(held["features"], held["lengths"], float(held["seconds"]), measured)
 
 
-class Remembered(Source):
+class Remembered(Together):
     """Answer as a generating source does, from a folder where it has answered the same before.
 
     The folder is of one model and one way to sample it; inside, an answer is found by what was asked: captions, clips'
@@ -73,17 +76,18 @@ class Remembered(Source):
         self._given: list[tuple[int, float, dict[str, float]]] = []
         self._seconds: float | None = None
 
-    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
         """Give the motions that are there, or generate and keep them; of two that ask at once one generates."""
-        file = self.folder / f"{asked(batch, seeds)}.npz"
-        with hold(self.folder / f".{file.stem}.lock"):
-            made = Made.read(file)
-            if made is None:
-                made = self._make(batch, seeds)
+        files = [self.folder / f"{question(batch, seeds)}.npz" for batch, seeds in asked]
+        with ExitStack() as held:
+            for name in sorted({file.stem for file in files}):  # in one order: no two wait for each other
+                held.enter_context(hold(self.folder / f".{name}.lock"))
+            found = {file: Made.read(file) for file in files}
+            missing = {file: one for file, one in zip(files, asked, strict=True) if found[file] is None}
+            for file, made in zip(missing, self._make(list(missing.values())), strict=True):
                 made.save(file)
-        self._given.append((len(made.lengths), made.seconds, made.measured))
-        device = batch.features.device
-        return answer(batch, torch.from_numpy(made.features).to(device), torch.from_numpy(made.lengths).to(device))
+                found[file] = made
+        return [self._give(found[file], batch) for file, (batch, _) in zip(files, asked, strict=True)]
 
     def measured(self) -> dict[str, float]:
         """Return the means over all motions since the last call of what was measured when they were made."""
@@ -98,15 +102,23 @@ class Remembered(Source):
         """Return how long one of the motions that were `measured` last took to make."""
         return self._seconds
 
-    def _make(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> Made:
-        motion = self.source(batch, seeds)
-        features, lengths = motion.features.float().cpu().numpy(), motion.lengths.cpu().numpy()
-        seconds = self.source.seconds()
+    def _make(self, asked: Sequence[Asked]) -> list[Made]:
+        motions = self.source.answer_all(asked)
+        if not motions:
+            return []
+        seconds, measured = self.source.seconds(), self.source.measured()
         assert seconds is not None  # of the call above
-        return Made(features, lengths, seconds, self.source.measured())
+        arrays = [(motion.features.float().cpu().numpy(), motion.lengths.cpu().numpy()) for motion in motions]
+        return [Made(features, lengths, seconds, measured) for features, lengths in arrays]
+
+    def _give(self, made: Made | None, batch: MotionBatch) -> MotionBatch:
+        assert made is not None
+        self._given.append((len(made.lengths), made.seconds, made.measured))
+        device = batch.features.device
+        return answer(batch, torch.from_numpy(made.features).to(device), torch.from_numpy(made.lengths).to(device))
 
 
-def asked(batch: MotionBatch, seeds: Int[Tensor, " b"]) -> str:
+def question(batch: MotionBatch, seeds: Int[Tensor, " b"]) -> str:
     """Name what a source is asked for: captions, clips, lengths and seeds of a batch."""
     numbers = [batch.lengths.tolist(), seeds.tolist()]
     return hashlib.sha256(repr([text_key(batch.captions), batch.clip_ids, numbers]).encode()).hexdigest()[:24]

@@ -17,7 +17,9 @@ from kinema.decoding.draws import SeededDraws
 from kinema.evaluation.counting import NetworkCounter
 from kinema.evaluation.metrics.code_usage import CodeUsage
 from kinema.evaluation.stopwatch import Stopwatch
+from kinema.evaluation.together import Asked, by_length
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.arguments import BATCH
 from kinema.pipeline.editing import kept_frames, paste, task_slots
 from kinema.pipeline.kept import encode_kept
 from kinema.text.frozen import FrozenTextEncoder
@@ -60,6 +62,26 @@ class Source(ABC):
     def kept(self, lengths: Int[Tensor, " b"]) -> Bool[Tensor, "b t"] | None:
         """Mark the frames of answers to clips of these lengths that are the clips' own; None: the source edits none."""
         return None
+
+
+class Together(Source):
+    """Answer several batches at once; the answers are those to each by itself, but for rounding."""
+
+    @abstractmethod
+    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
+        """Return the motions, batch by batch."""
+
+    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+        """Return the motions of one batch."""
+        (made,) = self.answer_all([(batch, seeds)])
+        return made
+
+
+def answers(source: Source, asked: Sequence[Asked]) -> list[MotionBatch]:
+    """Ask a source several batches, at once if it can be."""
+    if isinstance(source, Together):
+        return source.answer_all(asked)
+    return [source(batch, seeds) for batch, seeds in asked]
 
 
 class RealMotion(Source):
@@ -215,11 +237,12 @@ class NearestTrainingCaption(Source):
         return F.normalize(torch.cat(parts), dim=-1)
 
 
-class Generated(Source):
+class Generated(Together):
     """Answer with a method's motions, by the path that its users take.
 
     `lengths`: "real" gives the method the test clip's length (MARDM, MMM, BAD, MoMask); "predicted" leaves it to a
     generator that ends its sequences itself (T2M-GPT, AttT2M, BAMM, MotionGPT), else to the length estimator.
+    `batch_size`: motions to a batch, those whose test clips are of like length.
     """
 
     text_encoder: FrozenTextEncoder
@@ -227,20 +250,30 @@ class Generated(Source):
     multimodal = True
 
     def __init__(
-        self, model: TextToMotion, *, lengths: str = "real", sampling: Any = None, label: str = "generated"
+        self,
+        model: TextToMotion,
+        *,
+        lengths: str = "real",
+        sampling: Any = None,
+        label: str = "generated",
+        batch_size: int = BATCH,
     ) -> None:
         if lengths not in ("real", "predicted"):
             raise ValueError(f"lengths={lengths!r}; allowed: real, predicted")
         if lengths == "predicted" and not model.knows_lengths:
             raise ValueError("lengths=predicted needs a generator that ends its sequences itself or a length estimator")
         self.model, self.lengths, self.sampling, self.label = model.eval(), lengths, sampling, label
+        self.batch_size = batch_size
         self.text_encoder = model.text_encoder
         self.counter = NetworkCounter(model.generator.networks)
         self.batches = self.motions = 0
         self.took = Stopwatch(model.device)
 
-    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
         """Generate one motion per caption."""
+        return by_length(asked, self._generate, self.batch_size)
+
+    def _generate(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         text = encode_captions(self.text_encoder, batch)
         frames = batch.lengths if self.lengths == "real" else None
         with self.took.motions(len(seeds)):
@@ -259,7 +292,7 @@ class Generated(Source):
         return self.took.take()
 
 
-class Edited(Source):
+class Edited(Together):
     """Answer with the real motion of which one of BAD's four tasks is regenerated to the caption (BAD §5).
 
     What is kept is encoded stretch by stretch. Without `paste`, as published, kept frames are the tokenizer's
@@ -269,16 +302,26 @@ class Edited(Source):
     text_encoder: FrozenTextEncoder
 
     def __init__(
-        self, model: TextToMotion, *, task: str, paste: bool = False, sampling: Any = None, label: str = "edited"
+        self,
+        model: TextToMotion,
+        *,
+        task: str,
+        paste: bool = False,
+        sampling: Any = None,
+        label: str = "edited",
+        batch_size: int = BATCH,
     ) -> None:
         task_slots(task, torch.ones(1, dtype=torch.int64))  # an unknown task is refused before anything is computed
         model.tokenizer.space.in_time("editing")
         self.model, self.task, self.paste, self.sampling, self.label = model.eval(), task, paste, sampling, label
         self.dims = model.tokenizer.representation.kind
-        self.text_encoder = model.text_encoder
+        self.text_encoder, self.batch_size = model.text_encoder, batch_size
 
-    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
         """Edit every motion to its own caption."""
+        return by_length(asked, self._edit, self.batch_size)
+
+    def _edit(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         tokenizer = self.model.tokenizer
         keep = task_slots(self.task, tokenizer.space.latents_of(batch.lengths))
         with self.model.computing():

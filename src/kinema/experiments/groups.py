@@ -238,6 +238,7 @@ class Request(Options):
     lengths: Annotated[str, OneOf(LENGTHS)] = "real"
     lift: bool = False
     lock_feet: bool = False
+    batch_size: Count = 32
     keep_motions: bool = False
     precision: Annotated[str, OneOf(PRECISIONS)] = "float32"
     replications: Annotated[list[Number], Len(1)] | None = None

@@ -88,6 +88,7 @@ class Scorer:
             "lift": cfg.lift,
             "lock_feet": cfg.lock_feet,
             "precision": cfg.precision,
+            "batch_size": cfg.batch_size,
             "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
             "oracle": plain(cfg.oracle) if cfg.source == "oracle" else None,
             "edit": plain(cfg.edit) if cfg.task == "editing" else None,
@@ -172,10 +173,16 @@ class Scorer:
             # The run's own text encoder, which need not be the configuration's (an imported run).
             model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)
             if cfg.task == "editing":
-                return sources.Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling)
+                return sources.Edited(
+                    model,
+                    task=cfg.edit.task,
+                    paste=cfg.edit.paste,
+                    sampling=sampling,
+                    batch_size=cfg.batch_size,
+                )
             if cfg.task == "control":
                 return Controlled(model, **plain(cfg.control), sampling=sampling)
-            generated = sources.Generated(model, lengths=cfg.lengths, sampling=sampling)
+            generated = sources.Generated(model, lengths=cfg.lengths, sampling=sampling, batch_size=cfg.batch_size)
             return self._remembered(generated) if cfg.keep_motions else generated
         ((part, run),) = row.subject.items()
         tokenizer = read_model(run, part).to(self.device)
