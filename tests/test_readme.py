@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
 from kinema import cli
@@ -136,8 +137,6 @@ def check_hydra(config, words):
 
 def check_overrides(overrides, config):
     """Compose every value of a sweep at least once."""
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-
     choices = []
     for override in OverridesParser.create().parse_overrides(overrides):
         sweep = override.is_sweep_override()
@@ -158,8 +157,12 @@ def test_overrides_that_the_text_names_compose():
 
 
 def composes_for_some(override):
+    """Tell whether it is a value of a key that some choice has; an option is composed, with what it brings."""
     key = override.lstrip("+").partition("=")[0]
     choices = [choice for choice, cfg in composed_choices().items() if OmegaConf.select(cfg, key) is not None]
+    if choices and not (ROOT / "conf" / key).is_dir():
+        OverridesParser.create().parse_override(override)
+        return True
     for choice in choices or composed_choices():
         try:
             compose([choice, override], "evaluate")
