@@ -22,7 +22,7 @@ import torch
 from kinema.evaluation.encoders.clip_style import ContrastiveEvaluator
 from kinema.evaluation.encoders.t2m import MatchingEvaluator
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication
-from kinema.evaluation.sources import answer
+from kinema.evaluation.source import answer
 from kinema.motion.representation import Representation
 from kinema.motion.statistics import Statistics
 from kinema.text.tokens import clip_tokens

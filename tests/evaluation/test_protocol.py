@@ -13,7 +13,8 @@ from kinema.evaluation.cache import motion_key, text_key
 from kinema.evaluation.metrics import FrechetDistance, Retrieval
 from kinema.evaluation.metrics.neighbours import isolation
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, evaluate_replication
-from kinema.evaluation.sources import RealMotion, ShuffledCaptions, Source, answer
+from kinema.evaluation.source import Source, answer
+from kinema.evaluation.sources import RealMotion, ShuffledCaptions
 from kinema.evaluation.training_set import TrainingSet
 from kinema.seeds import protocol_seeds
 from kinema.types import Caption

@@ -11,7 +11,8 @@ from tests.evaluation.toys import Echo, Evaluated, model, seeds
 from kinema.evaluation.changed import Lifted
 from kinema.evaluation.protocol import EvaluationProtocol, evaluate_replication
 from kinema.evaluation.remembered import Remembered
-from kinema.evaluation.sources import Edited, Generated, RealMotion, ShuffledCaptions, answers
+from kinema.evaluation.source import answers
+from kinema.evaluation.sources import Edited, Generated, RealMotion, ShuffledCaptions
 from kinema.evaluation.together import join, select
 from kinema.motion.skeleton import get_skeleton
 

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from kinema.evaluation.sources import Source, Together, answer, answers
+from kinema.evaluation.source import Source, Together, answer, answers
 from kinema.evaluation.together import Asked
 from kinema.motion.cleaning import lock_rows
 from kinema.motion.lifting import lift

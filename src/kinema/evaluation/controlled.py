@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from kinema.evaluation.sources import Source, answer, encode_captions
+from kinema.evaluation.source import Source, answer
+from kinema.evaluation.sources import encode_captions
 from kinema.pipeline import TextToMotion
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.types import Known, MotionBatch

@@ -10,7 +10,8 @@ from jaxtyping import Int
 from torch import Tensor
 
 from kinema.data.labels import Shown
-from kinema.evaluation.sources import UNIT, Source, TrainingClips, trained_answer
+from kinema.evaluation.source import Source
+from kinema.evaluation.sources import UNIT, TrainingClips, trained_answer
 from kinema.types import MotionBatch
 
 KNOWS = ("action", "style")

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from kinema.evaluation.sources import Source, answer
+from kinema.evaluation.source import Source, answer
 from kinema.motion.representation import Representation
 from kinema.motion.skeleton import DIMS, Skeleton
 from kinema.motion.statistics import Statistics

@@ -15,7 +15,7 @@ from kinema.evaluation.encoders.base import TextMotionEvaluator
 from kinema.evaluation.metrics.finite import require_finite
 from kinema.evaluation.scores import Observation, Scores
 from kinema.evaluation.settings import EvaluationProtocol
-from kinema.evaluation.sources import Source, answers
+from kinema.evaluation.source import Source, answers
 from kinema.evaluation.together import Asked, select
 from kinema.evaluation.training_set import TrainingSet
 from kinema.seeds import protocol_seeds

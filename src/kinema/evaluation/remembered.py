@@ -15,7 +15,8 @@ from torch import Tensor
 
 from kinema.atomic import replacing
 from kinema.evaluation.cache import text_key
-from kinema.evaluation.sources import Generated, Together, answer
+from kinema.evaluation.source import Together, answer
+from kinema.evaluation.sources import Generated
 from kinema.evaluation.together import Asked
 from kinema.files.arrays import Wanted, read_npz
 from kinema.files.kinds import DamagedError

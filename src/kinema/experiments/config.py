@@ -32,7 +32,6 @@ PERTURBATIONS, SPACES = ("add", "replace"), ("evaluator", "corpus")
 DENSITIES = ("one", "two", "five", "quarter", "all", "mixed")
 EDITS = ("inbetween", "outpaint", "prefix", "suffix")
 ORACLES = ("action", "style")
-SOURCES = ("real", "perturbed", "shuffled", "noise", "nearest", "oracle", "reconstruction", "generation")
 
 
 def register_resolvers() -> None:
@@ -123,19 +122,11 @@ def plain(node: Any) -> Any:
 def validate(cfg: DictConfig) -> None:
     """Check the choices that Hydra cannot; raises ValueError naming value, choices and fix."""
     from kinema.experiments.groups import check_groups  # here: composing alone needs no torch
+    from kinema.experiments.sources import source_of
 
     check_groups(cfg)
     if "source" in cfg:
-        if cfg.task != "generation" and cfg.source != "generation":
-            raise ValueError(f"task={cfg.task} with source={cfg.source}; only source=generation has tasks")
-        if cfg.task != "generation" and cfg.keep_motions:
-            raise ValueError(f"keep_motions=true with task={cfg.task}; only task=generation keeps motion: leave it out")
-        if cfg.task != "generation" and cfg.lengths != cfg.method.lengths:
-            raise ValueError(f"lengths={cfg.lengths} with task={cfg.task}, whose motion is as long as the test clip")
-        if cfg.precision != "float32" and cfg.source != "generation":
-            raise ValueError(
-                f"precision={cfg.precision} is how a generator computes, and source={cfg.source} has none; leave it out"
-            )
+        source_of(cfg).check_options(cfg)
         _check_scoring(cfg)
 
 

@@ -12,21 +12,18 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig, OmegaConf
 
 from kinema.atomic import write_text
-from kinema.data.labels import require_labels
 from kinema.data.store import PackedStore
-from kinema.experiments.config import plain, read_config, validate
+from kinema.experiments.config import plain, validate
 from kinema.experiments.corpus import open_corpus, require_captions, require_pool
 from kinema.experiments.dashboards import show_results
 from kinema.experiments.identity import corpora, fingerprint, run_identity
 from kinema.experiments.replications import EACH, REPLICATIONS, whole_lines
 from kinema.experiments.run import check, command, run_folder, run_stage, stage_folder
-from kinema.experiments.sampling import build_sampling, sampling_spec
-from kinema.experiments.stages import companions_of, completions_of, get_stage, judges, stages
-from kinema.experiments.stages.base import Stage, asked_for, dims, given_run, reads_text
+from kinema.experiments.sources import source_of
+from kinema.experiments.stages import companions_of, completions_of, get_stage, judges
+from kinema.experiments.stages.base import Stage, asked_for, dims, given_run
 from kinema.experiments.stages.judge import JudgeStage
 from kinema.locks import attempt
-from kinema.motion.skeleton import get_skeleton
-from kinema.registry import find_class
 from kinema.report.intervals import means
 from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
@@ -93,13 +90,14 @@ class Row:
 def describe(cfg: DictConfig) -> Row:
     """Find the folder of an evaluation without running anything."""
     validate(cfg)
-    _check_method(cfg)
+    source = source_of(cfg)
+    source.check_run(cfg)
     store, corpus_of = PackedStore.open(open_corpus(cfg)), corpora(cfg)
 
     def found(stage: Stage) -> Path:
         return stage.given(cfg) or stage_folder(cfg, stage, corpus_of).path
 
-    scored = [stage for stage in stages().values() if stage.scored(cfg)]
+    scored = [get_stage(source.scores)] if source.scores else []
     companions = [other for stage in scored for other in (*companions_of(stage), *completions_of(stage))]
     row = Row(
         RunFolder(Path()),
@@ -110,13 +108,7 @@ def describe(cfg: DictConfig) -> Row:
         asked=tuple(range(cfg.scale.protocol.replications) if cfg.replications is None else cfg.replications),
     )
     identity = _identity(cfg, row, store)
-    what = f"edit_{cfg.edit.task}" if "edit" in identity else cfg.source
-    if "control" in identity:
-        what = f"control_{'_'.join(cfg.control.joints)}"
-    if "perturb" in identity:
-        what = f"perturbed_{cfg.perturb.how}_{cfg.perturb.dims}"
-    if "oracle" in identity:
-        what = f"oracle_{cfg.oracle.knows}"
+    what = source.label(cfg)
     what += ("_feet" if cfg.lock_feet else "") + ("_lifted" if cfg.lift else "")
     what += f"_{cfg.precision}" if "precision" in identity else ""
     run = asked_for(cfg)
@@ -139,32 +131,26 @@ def unread(cfg: DictConfig) -> list[str]:
 
 def _identity(cfg: DictConfig, row: Row, store: PackedStore) -> dict[str, Any]:
     """Collect what determines a row's results, whatever the number of replications."""
+    source = source_of(cfg)
     identity = {
         "source": cfg.source,
         "corpus": store.hash,
         "protocol": {k: v for k, v in plain(cfg.scale.protocol).items() if k != "replications"},
         "runs": {name: fingerprint(run_identity(path)) for name, path in row.runs.items()},
-        "sampling": sampling_spec(cfg) if cfg.source == "generation" else None,
-        "text": plain(cfg.text) if reads_text(cfg) else None,
+        "sampling": source.sampling(cfg),
+        "text": plain(cfg.text) if source.reads_text(cfg) else None,
+        **source.settings(cfg),
     }
     if store.knowledge is not None:  # oracles, breakdowns and what counts as memorised rest on it
         identity["knowledge"] = store.knowledge
-    if cfg.source == "generation" and cfg.task == "editing":
-        identity["edit"] = plain(cfg.edit)
-    elif cfg.source == "generation" and cfg.task == "control":
-        identity["control"] = plain(cfg.control)
-    elif cfg.source == "generation" and cfg.lengths != "real":
-        identity["lengths"] = cfg.lengths
+    if source.lengths(cfg) != "real":
+        identity["lengths"] = source.lengths(cfg)
     if cfg.lift:
         identity["lift"] = True
     if cfg.lock_feet:
         identity["lock_feet"] = True
     if cfg.precision != "float32":
         identity["precision"] = cfg.precision
-    if cfg.source == "perturbed":
-        identity["perturb"] = plain(cfg.perturb)
-    if cfg.source == "oracle":
-        identity["oracle"] = plain(cfg.oracle)
     if any((cfg.get("evaluators") or {}).values()):
         # Imported judges have no fingerprint that would hold what they read captions with.
         identity["vocabulary"] = {k: cfg.evaluator[k] for k in ("words", "words_path", "tokens", "tokens_path")}
@@ -217,15 +203,10 @@ def tell_means(row: Row) -> None:
 def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     """Return the stages whose runs are to be made; what is wrong is told before any of them trains."""
     _check_judges(cfg, row)
-    if cfg.task == "control":
-        _check_control(cfg)
-    if cfg.source == "generation":
-        build_sampling(cfg)
     store = PackedStore.open(open_corpus(cfg))
+    source_of(cfg).check(cfg, store)
     require_captions(store, cfg.scale.protocol.split)
     require_pool(cfg, store)
-    if cfg.source == "oracle":
-        require_labels(store)
     check_reads(cfg, row)
     wanted = [get_stage(name) for name in row.runs]
     found = [stage for stage in wanted if given_run(cfg, stage) is None and not RunFolder(row.runs[stage.name]).done]
@@ -239,54 +220,16 @@ def _unfinished(cfg: DictConfig, row: Row) -> list[Stage]:
     return found
 
 
-def _check_method(cfg: DictConfig) -> None:
-    """Check that the configuration's method is that of the run that `run=` names: its sampling is the method's."""
-    if cfg.source != "generation":
-        return
-    (scored,) = (stage for stage in stages().values() if stage.scored(cfg))
-    run = scored.given(cfg)
-    if run is None or not RunFolder(run).weights.is_file():
-        return  # its absence is told where it is read
-    from kinema.runs.weights import read_meta  # here: --help must not pay for torch
-
-    spec = read_meta(RunFolder(run).weights)["spec"]
-    theirs, ours = (find_class(found.get("_target_")) for found in (spec, plain(cfg.generator.model)))
-    if theirs is not ours:
-        saved = run / "config.yaml"
-        method = OmegaConf.select(read_config(run), "method.name") if saved.is_file() else None
-        fix = f"add method={method}" if method else f"add the method= whose generator is {theirs.__name__}"
-        raise ValueError(
-            f"run={run} is of {theirs.__name__}, the configuration of method={cfg.method.name} ({ours.__name__}); {fix}"
-        )
-
-
 def check_reads(cfg: DictConfig, row: Row) -> None:
     """Find the vocabularies and the text encoder, which are read when every run is made."""
-    from kinema.experiments.instantiate import check_text  # here too
-    from kinema.pipeline.folder import open_text_encoder
+    from kinema.experiments.instantiate import check_text  # here: --help must not pay for torch
 
     for stage in row.asks:
         stage.vocabulary(cfg)
-    if reads_text(cfg):
+    if source_of(cfg).reads_text(cfg):
         check_text(cfg)
-    elif cfg.source == "generation":
-        (run,) = row.subject.values()
-        if RunFolder(run).weights.is_file():  # its absence is told where it is read
-            open_text_encoder(run)
-
-
-def _check_control(cfg: DictConfig) -> None:
-    """Check that the skeleton has the joints, and that the method can be told where they are."""
-    from kinema.experiments.groups import Control  # here: --help must not pay for torch
-    from kinema.tokenizers import MotionTokenizer
-
-    Control(**plain(cfg.control)).check_joints(get_skeleton(cfg.data.skeleton))
-    kind = find_class(cfg.tokenizer.model._target_)
-    if asked_for(cfg) is None and not (issubclass(kind, MotionTokenizer) and kind.holds_joints):
-        raise ValueError(
-            f"task=control holds joints in space, and the frames of method={cfg.method.name} (tokenizer="
-            f"{cfg.tokenizer.name}) hold none; choose a method in XYZ, such as method=msflow"
-        )
+    else:
+        source_of(cfg).check_text(row)
 
 
 def _check_judges(cfg: DictConfig, row: Row) -> None:

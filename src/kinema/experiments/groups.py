@@ -17,12 +17,12 @@ from kinema.experiments.config import (
     LENGTHS,
     ORACLES,
     PERTURBATIONS,
-    SOURCES,
     SPACES,
     TASKS,
     plain,
 )
 from kinema.experiments.dashboards import MODES
+from kinema.experiments.sources import sources
 from kinema.experiments.stages import judges, stages
 from kinema.motion.representation import VARIANTS
 from kinema.motion.skeleton import DIMS, SKELETONS, Skeleton
@@ -233,7 +233,7 @@ class Request(Options):
     seed: Seed
     ensure: bool
     tokenizer_run: str | None
-    source: Annotated[str, OneOf(SOURCES)] = "generation"
+    source: Annotated[str, OneOf(tuple(sources()))] = "generation"
     task: Annotated[str, OneOf(TASKS)] = "generation"
     lengths: Annotated[str, OneOf(LENGTHS)] = "real"
     lift: bool = False

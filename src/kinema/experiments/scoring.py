@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 from omegaconf import DictConfig
 
 from kinema.atomic import replacing
 from kinema.data.datamodule import MotionDataModule
-from kinema.data.labels import shown_by
 from kinema.data.leakage import Nearness
 from kinema.data.store import PackedStore
-from kinema.evaluation import sources
 from kinema.evaluation.changed import FeetLocked, Lifted
-from kinema.evaluation.controlled import Controlled
-from kinema.evaluation.oracle import Oracle
-from kinema.evaluation.perturbed import Perturbed, judged
 from kinema.evaluation.protocol import EmbeddingCache, EvaluationProtocol, ReplicationResult, evaluate_replication
-from kinema.evaluation.remembered import Remembered
 from kinema.evaluation.training_set import TrainingSet
-from kinema.experiments.config import SOURCES, plain
+from kinema.experiments.config import plain
 from kinema.experiments.evaluation import Row
-from kinema.experiments.identity import fingerprint
-from kinema.experiments.instantiate import cached, encode_captions, machine_of, read_model, text_encoder
-from kinema.experiments.sampling import build_sampling, sampling_spec
+from kinema.experiments.instantiate import encode_captions, machine_of, read_model, text_encoder
+from kinema.experiments.sources import source_of, sources
 from kinema.experiments.stages import judges
 from kinema.motion.recovery import recover_joints
 from kinema.motion.skeleton import DIMS
-from kinema.pipeline.identity import fingerprint as model_fingerprint
 from kinema.text.cache import CachedTextEncoder
 from kinema.types import MotionBatch
 
@@ -63,14 +52,15 @@ class Scorer:
         self.matching, self.contrastive = models["t2m"], models.get("clip")
         self.cache = EmbeddingCache(Path(cfg.paths.cache) / "real", self.store.hash)
         self.training = TrainingSet.embedded(self.store, self.matching, self.cache)
-        source = self._source(row)
+        kind = source_of(cfg)
+        source = kind.open(self, row)
         source = FeetLocked(source, self.store.skeleton) if cfg.lock_feet else source
         self.source = Lifted(source, self.store.skeleton) if cfg.lift else source
         judged = (model.representation.kind for model in models.values())
-        self.data = self._clips(self.source.dims, *judged)
+        self.data = self.clips(self.source.dims, *judged)
         self.trained, self.tested = self._values("train"), self._values(self.protocol.split)
         self.nearness = Nearness.of(self.store)
-        sampling = sampling_spec(cfg) if cfg.source == "generation" else None
+        groups = {group for one in sources().values() for group in one.groups}
         self.provenance = {
             "source": cfg.source,
             "runs": {k: v.name for k, v in sorted(row.runs.items())},
@@ -83,16 +73,14 @@ class Scorer:
             "words": words["t2m"].identity,
             "tokens": words["clip"].identity if "clip" in words else None,
             "text_encoder": self.source.text_encoder.identity if self.source.text_encoder else None,
-            "sampling": sampling,
-            "lengths": cfg.lengths if cfg.source == "generation" and cfg.task == "generation" else "real",
+            "sampling": kind.sampling(cfg),
+            "lengths": kind.lengths(cfg),
             "lift": cfg.lift,
             "lock_feet": cfg.lock_feet,
             "precision": cfg.precision,
             "batch_size": cfg.batch_size,
-            "perturb": plain(cfg.perturb) if cfg.source == "perturbed" else None,
-            "oracle": plain(cfg.oracle) if cfg.source == "oracle" else None,
-            "edit": plain(cfg.edit) if cfg.task == "editing" else None,
-            "control": plain(cfg.control) if cfg.task == "control" else None,
+            **dict.fromkeys(sorted(groups)),
+            **kind.settings(cfg),
             "protocol": plain(cfg.scale.protocol),
             "seed": cfg.seed,
             "device": str(self.device),
@@ -111,12 +99,11 @@ class Scorer:
             cache=self.cache,
             training=self.training,
         )
-        if self.cfg.source == "real" and "real_fid_halves" in result.metrics:
-            result.metrics["half_fid"] = result.metrics["real_fid_halves"]  # the name in results of before
+        result.metrics.update(source_of(self.cfg).completed(result.metrics))
         result.metrics.update(self.source.measured())
         return result
 
-    def _clips(self, *dims: str) -> MotionDataModule:
+    def clips(self, *dims: str) -> MotionDataModule:
         """Serve the columns that all of several readers read."""
         widest = max(dims, key=DIMS.index)
         return MotionDataModule(self.store.path, kind="clips", batch_size=self.protocol.pool, steps=1, dims=widest)
@@ -143,88 +130,9 @@ class Scorer:
         with replacing(path) as temporary:
             np.savez(temporary, allow_pickle=False, **arrays)
 
-    def _source(self, row: Row) -> sources.Source:
-        name, cfg = self.cfg.source, self.cfg
-        if name == "real":
-            return sources.RealMotion()
-        if name == "perturbed":
-            altered, how, level = cfg.perturb.dims, cfg.perturb.how, cfg.perturb.level
-            statistics = self.store.statistics
-            if cfg.perturb.space == "evaluator":
-                statistics = judged(self.matching.representation, statistics)
-            return Perturbed(self.store.skeleton, statistics, altered=altered, how=how, level=level)
-        if name == "shuffled":
-            return sources.ShuffledCaptions()
-        if name == "nearest":
-            train = self.store.split_entries("train")
-            return sources.NearestTrainingCaption(self.store, train, self._text("train", self.protocol.split))
-        if name == "oracle":
-            train, shown = self.store.split_entries("train"), partial(shown_by, self.store)
-            return Oracle(self.store, train, shown, **plain(cfg.oracle))
-        if name == "generation":
-            from kinema.pipeline import TextToMotion
-
-            # The parts that the row is named by, whatever the generator's run links to.
-            (run,) = row.subject.values()
-            model = TextToMotion.from_run(run, device=self.device, **row.beside)
-            sampling = build_sampling(cfg)
-            model.generator.check_sampling(sampling)
-            model = model.bfloat16() if cfg.precision == "bfloat16" else model
-            # The run's own text encoder, which need not be the configuration's (an imported run).
-            model.text_encoder = encode_captions(cached(cfg, model.text_encoder), self.store, self.protocol.split)
-            if cfg.task == "editing":
-                return sources.Edited(
-                    model,
-                    task=cfg.edit.task,
-                    paste=cfg.edit.paste,
-                    sampling=sampling,
-                    batch_size=cfg.batch_size,
-                )
-            if cfg.task == "control":
-                return Controlled(model, **plain(cfg.control), sampling=sampling)
-            generated = sources.Generated(model, lengths=cfg.lengths, sampling=sampling, batch_size=cfg.batch_size)
-            return self._remembered(generated) if cfg.keep_motions else generated
-        ((part, run),) = row.subject.items()
-        tokenizer = read_model(run, part).to(self.device)
-        if name == "reconstruction":
-            return sources.Reconstruction(tokenizer)
-        if name != "noise":
-            raise ValueError(f"source={name} is not made by evaluation; it is one of {', '.join(SOURCES)}")
-        if tokenizer.space.kind == "codes":
-            return sources.NoiseCodes(tokenizer, self._code_shares(tokenizer))
-        return sources.NoiseLatents(tokenizer, *self._latent_statistics(tokenizer))
-
-    def _remembered(self, source: sources.Generated) -> Remembered:
-        """Keep motions below the cache, by all that they depend on but what is asked."""
-        cfg = self.cfg
-        how = [model_fingerprint(source.model), sampling_spec(cfg), cfg.lengths, cfg.precision]
-        return Remembered(source, Path(cfg.paths.cache) / "motions" / fingerprint(how))
-
-    def _text(self, *splits: str) -> CachedTextEncoder:
+    def text(self, *splits: str) -> CachedTextEncoder:
         """Return the cached text encoder: no caption is encoded twice, not over twenty replications."""
         return encode_captions(text_encoder(self.cfg, self.device), self.store, *splits)
-
-    @torch.no_grad()
-    def _training_latents(self, tokenizer: Any, batches: int = 16) -> torch.Tensor:
-        """Return the values or codes of a part of the training clips, one row per position."""
-        data = self._clips(tokenizer.representation.kind)
-        drawn = data.test_batches("train", 0, seed=self.protocol.seed, batch_size=self.protocol.pool)
-        rows = []
-        for _, batch in zip(range(batches), drawn, strict=False):
-            latents = tokenizer.encode(batch.to(self.device))
-            rows.append(latents.content[latents.mask])
-        return torch.cat(rows)
-
-    def _latent_statistics(self, tokenizer: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return mean and std of each latent dim."""
-        rows = self._training_latents(tokenizer)
-        return rows.mean(0), rows.std(0)
-
-    def _code_shares(self, tokenizer: Any) -> torch.Tensor:
-        """Return how often each layer's codes are used."""
-        rows = self._training_latents(tokenizer)
-        counts = [torch.bincount(layer, minlength=tokenizer.space.codebook_size) for layer in rows.T]
-        return torch.stack(counts) / len(rows)
 
     def _fields(self, batch: MotionBatch) -> dict[str, list[str]]:
         """Return the manifest's fields of each clip; of one with many values, whether training saw the value.

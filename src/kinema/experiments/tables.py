@@ -7,18 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from kinema.data.labels import has_labels
-from kinema.data.store import PackedStore
 from kinema.experiments.benchmark import sections
 from kinema.experiments.breakdowns import Parts, breakdowns, footnotes
 from kinema.experiments.config import compose
-from kinema.experiments.corpus import corpus_label, open_corpus
+from kinema.experiments.corpus import corpus_label
 from kinema.experiments.evaluation import Row, describe
 from kinema.experiments.overrides import for_training, without_sampling
 from kinema.experiments.provenance import Said, other_judges, provenance
 from kinema.experiments.replications import EACH, over_replications, over_seeds
+from kinema.experiments.sources import source_of
 from kinema.experiments.spent import spent
 from kinema.experiments.stages import stages
 from kinema.experiments.table_files import PANELS
@@ -126,7 +125,7 @@ def _is_for(spec: dict[str, Any], cfg: DictConfig) -> bool:
     panel = PANELS[cfg.data.skeleton]
     if spec.get("panel", panel) != panel:
         return False
-    return cfg.source != "oracle" or has_labels(PackedStore.open(open_corpus(cfg)))
+    return source_of(cfg).suits(cfg)
 
 
 def _further_seeds(first: TableRow, overrides: list[str], seeds: int) -> list[TableRow]:
@@ -266,30 +265,8 @@ def _notes(row: TableRow) -> tuple[str, ...]:
     if (cfg := row.cfg) is None:
         return ()
     return (
-        _lengths_note(row),
-        _steps_note(row),
+        *source_of(cfg).notes(cfg),
         "redundant dims recomputed from the joints" if cfg.lift else "",
         "feet held" if cfg.lock_feet else "",
         "" if cfg.precision == "float32" else f"products in {cfg.precision}",
     )
-
-
-def _lengths_note(row: TableRow) -> str:
-    """Say where the lengths of generated motion come from, unless they are the test clips'."""
-    if row.cfg is None or row.cfg.source != "generation" or row.cfg.task != "generation":
-        return ""
-    if row.cfg.lengths == "real":
-        return "lengths of the test clips"
-    return "lengths predicted by " + ("the method" if row.cfg.generator.get("predicts_length") else "an estimator")
-
-
-def _steps_note(row: TableRow) -> str:
-    """Say so where a diffusion model takes fewer steps than it was trained with."""
-    if row.cfg is None or row.cfg.source != "generation":
-        return ""
-    trained = OmegaConf.select(row.cfg, "generator.model.process.steps")
-    taken = OmegaConf.select(row.cfg, "generator.sampling.solver_steps")
-    if trained is None or taken in (None, trained):
-        return ""
-    chosen = taken if isinstance(taken, int) else f"the steps {taken!r}"
-    return f"sampled in {chosen} of its {trained} diffusion steps"

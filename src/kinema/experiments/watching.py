@@ -13,7 +13,8 @@ from kinema.data.datasets import ClipDataset
 from kinema.data.store import PackedStore
 from kinema.evaluation.changed import Lifted
 from kinema.evaluation.protocol import EvaluationProtocol, evaluate_replication
-from kinema.evaluation.sources import Generated, Source
+from kinema.evaluation.source import Source
+from kinema.evaluation.sources import Generated
 from kinema.experiments.instantiate import read_model
 from kinema.experiments.run import stage_folder
 from kinema.experiments.stages.matching import MatchingStage

@@ -79,10 +79,6 @@ class Stage:
         """Open the corpus that it learns from."""
         return PackedStore.open(open_split(cfg, self.split(cfg)))
 
-    def scored(self, cfg: DictConfig) -> bool:
-        """Say whether an evaluation scores the motion that this stage's run makes."""
-        return False
-
     def beside(self, cfg: DictConfig) -> bool:
         """Say whether an evaluation reads this run beside that of which it is a companion, or which it completes."""
         return self.given(cfg) is not None if cfg.get("run") else self.present(cfg)
@@ -107,11 +103,6 @@ def asked_for(cfg: DictConfig, key: str = "run") -> Path | None:
     """Return the folder that the configuration names under a key: a path, or `latest:METHOD`."""
     run = OmegaConf.select(cfg, key)
     return find_run(run, cfg.paths.runs) if run else None
-
-
-def reads_text(cfg: DictConfig) -> bool:
-    """Whether a row reads what the configuration's text encoder makes; a run that is given has its own."""
-    return cfg.source == "nearest" or (cfg.source == "generation" and asked_for(cfg) is None)
 
 
 def dims(cfg: DictConfig) -> str:

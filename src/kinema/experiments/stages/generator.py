@@ -61,10 +61,6 @@ class GeneratorStage(ConditionedStage):
         run = asked_for(cfg)
         return None if run is None else upstream(run).get(self.name, run)
 
-    def scored(self, cfg: DictConfig) -> bool:
-        """Generated motion is what tables are about."""
-        return cfg.source == "generation"
-
     def module(
         self, cfg: DictConfig, model: Any, recipe: Recipe, store: PackedStore, needs: dict[str, RunFolder]
     ) -> GeneratorModule:

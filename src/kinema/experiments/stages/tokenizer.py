@@ -35,10 +35,6 @@ class TokenizerStage(FittedStage):
         run = asked_for(cfg)
         return asked_for(cfg, "tokenizer_run") if run is None else super().given(cfg) or run
 
-    def scored(self, cfg: DictConfig) -> bool:
-        """Decoded motion is scored by itself."""
-        return cfg.source in ("noise", "reconstruction")
-
     def sketch(self, cfg: DictConfig) -> Any:
         """Build it without memory, or read the given one and hold it to the configuration's representation."""
         run = given_run(cfg, self)
