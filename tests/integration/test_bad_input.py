@@ -131,7 +131,7 @@ def test_what_does_not_fit_the_machine_or_the_corpus_is_named(refused):
 
 
 def test_wrong_evaluations_are_named(refused, tmp_path):
-    assert "source=gen: must be one of real, perturbed" in refused("evaluate.py", "source=gen")
+    assert "source=gen: must be one of generation, nearest" in refused("evaluate.py", "source=gen")
     assert f"{tmp_path}/none holds no weights.safetensors" in refused("evaluate.py", f"run={tmp_path}/none")
     message = refused("evaluate.py", "source=real", "ensure=false")
     assert "train it with `kinema train stage=contrastive data=synthetic" in message

@@ -14,7 +14,7 @@ from kinema.experiments.sources.base import ScoredSource
 def source_of(cfg: DictConfig) -> ScoredSource:
     """Return what a row scores; raises ValueError naming what there is."""
     if cfg.source not in sources():
-        raise ValueError(f"source={cfg.source!r} is unknown; allowed: {', '.join(sources())}")
+        raise ValueError(f"source={cfg.source}: must be one of {', '.join(sources())}")
     return sources()[cfg.source]
 
 
