@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -138,16 +139,20 @@ class ResidualTransformer(LatentModel):
         self,
         history: Float[Tensor, "b n d"],
         text: Float[Tensor, "b t"],
-        layer: Int[Tensor, " b"],
+        layer: Int[Tensor, " b"] | int,
         real: Bool[Tensor, "b n"],
     ) -> Float[Tensor, "b n k"]:
-        """Return the logits of each sample's layer, PAD last; a zero text vector is the empty condition."""
-        one_hot = nn.functional.one_hot(layer, self.quantizers).to(history.dtype)
-        prefix = torch.stack((self.encoder.text_projection(text), self.layer_projection(one_hot)), dim=1)
+        """Return the logits of each sample's layer, PAD last; a zero text vector is the empty condition.
+
+        One layer for all is a number: its table is read where it lies, that of a sample's own layer is copied.
+        """
+        one_hot = nn.functional.one_hot(torch.as_tensor(layer, device=history.device), self.quantizers)
+        condition = self.layer_projection(one_hot.to(history.dtype)).expand(len(history), -1)
+        prefix = torch.stack((self.encoder.text_projection(text), condition), dim=1)
         x = self.encoder(self.encoder.embed(history, prefix), real=real)[:, 2:]
         if self.score_tables is None or self.score_bias is None:
             return x @ self.tables[layer].mT
-        return x @ self.score_tables[layer - 1].mT + self.score_bias[layer - 1][:, None]
+        return x @ self.score_tables[layer - 1].mT + self.score_bias[layer - 1].unsqueeze(-2)
 
     def loss(
         self,
@@ -205,15 +210,19 @@ class ResidualTransformer(LatentModel):
         pooled = text.pooled.to(device)
         choose = likely_choice(draws or SeededDraws(seeds, STREAM), sampling.temperature, sampling.top_k)
         with inference(self):
+            history = self.tables.new_zeros(())
             for q in range(1, self.quantizers):
-                layer = torch.full((len(codes),), q, device=device)
-                history = self.history(codes, layer)
-                logits = guided_logits(self, history, pooled, layer, real, scale=sampling.guidance).float()
+                history = history + self.tables[q - 1][codes[..., q - 1]]
+                predict = partial(self._of_layer, q)
+                logits = guided_logits(predict, history, pooled, real, scale=sampling.guidance).float()
                 if not sampling.padding:
                     logits[..., self.codebook_size] = -torch.inf
                 codes[..., q] = torch.where(keep, given[..., q], choose(q - 1, logits)).masked_fill(~real, 0)
         codes = codes.masked_fill(codes == self.codebook_size, NOTHING)
         return Latents(lengths=latents.lengths, frames=latents.frames, codes=codes)
+
+    def _of_layer(self, layer: int, history: Tensor, text: Tensor, real: Tensor) -> Tensor:
+        return self(history, text, layer, real)
 
     def _kept(self, codes: Int[Tensor, "b n q"], known: Known | None) -> tuple[Tensor, Tensor]:
         """Return the mask of the kept positions and the codes they have."""
