@@ -157,7 +157,7 @@ def test_overrides_that_the_text_names_compose():
 
 
 def composes_for_some(override):
-    """Tell whether it is a value of a key that some choice has; an option is composed, with what it brings."""
+    """Tell whether it can be said: of an option, that it composes; of any other key, that some choice has it."""
     key = override.lstrip("+").partition("=")[0]
     choices = [choice for choice, cfg in composed_choices().items() if OmegaConf.select(cfg, key) is not None]
     if choices and not (ROOT / "conf" / key).is_dir():

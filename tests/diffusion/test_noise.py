@@ -46,13 +46,3 @@ def test_each_draw_is_new_normal_and_padded_with_zeros():
     torch.testing.assert_close(torch.corrcoef(real), torch.eye(6), rtol=0, atol=0.05)
     torch.testing.assert_close(real.mean(dim=1), torch.zeros(6), rtol=0, atol=0.05)
     torch.testing.assert_close(real.std(dim=1), torch.ones(6), rtol=0, atol=0.05)
-
-
-@pytest.mark.parametrize("threads", [2, 3, 8])
-def test_threads_share_the_samples_and_change_no_number(threads, monkeypatch):
-    alone = sequence_noise(SEEDS, LENGTHS, WIDTH)
-    wanted = [next(alone) for _ in range(3)]
-    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
-    together = sequence_noise(SEEDS, LENGTHS, WIDTH)
-    assert all(torch.equal(next(together), draw) for draw in wanted)
-    together.close()

@@ -12,12 +12,13 @@ import pytest
 from kinema.experiments import config
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(scope="module")
 def unchecked() -> Iterator[None]:
-    """Stop the checks of tests/conftest.py for the tests of a file: what a table runs has tests of its own."""
+    """Stop the checks of tests/conftest.py for the tests of a file: what its tables run has tests of its own."""
+    before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -20,6 +20,8 @@ from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line, read_lines
 from kinema.runs.parts import upstream
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

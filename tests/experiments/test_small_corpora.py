@@ -10,6 +10,8 @@ from kinema.experiments.corpus import open_corpus, require_pool, require_windows
 from kinema.experiments.evaluation import run_evaluation
 from kinema.experiments.run import run_stage
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 @pytest.fixture
 def small(overrides):

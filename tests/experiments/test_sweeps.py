@@ -27,6 +27,8 @@ from kinema.runs.console import console
 from kinema.runs.folder import RunFolder
 from kinema.runs.lines import append_line
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 STUDIES = sorted(file.stem for file in (CONF / "study").glob("*.yaml"))
 
 

@@ -23,6 +23,8 @@ from kinema.experiments.table_files import load_table
 from kinema.experiments.tables import TableRow, meant_for, plan, render_table, with_borrowed
 from kinema.report.cells import grid
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 FILES = ("table.md", "table.csv", "table.tex", "table.json", "index.html")
 COMMAND = "make reproduce-table5"
 

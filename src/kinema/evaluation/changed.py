@@ -39,9 +39,9 @@ class Changed(Together):
     def change(self, rows: Float[np.ndarray, "t w"]) -> Float[np.ndarray, "t d"]:
         """Return the changed rows of one motion."""
 
-    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
+    def answer_all(self, questions: Sequence[Asked]) -> list[MotionBatch]:
         """Change every answer."""
-        return [self._changed(made) for made in answers(self.source, asked)]
+        return [self._changed(made) for made in answers(self.source, questions)]
 
     def _changed(self, made: MotionBatch) -> MotionBatch:
         rows = made.features.float().cpu().numpy()

@@ -10,9 +10,11 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from kinema.evaluation.source import Source, answer
+from kinema.evaluation.source import Together, answer
 from kinema.evaluation.sources import encode_captions
+from kinema.evaluation.together import Asked, by_length
 from kinema.pipeline import TextToMotion
+from kinema.pipeline.arguments import BATCH
 from kinema.text.frozen import FrozenTextEncoder
 from kinema.types import Known, MotionBatch
 
@@ -22,7 +24,7 @@ FRAMES = {"one": lambda n: 1, "two": lambda n: 2, "five": lambda n: 5, "quarter"
 """How many of a motion's n frames are held; OmniControl's 1, 2, 5, 49 and 196 of 196."""
 
 
-class Controlled(Source):
+class Controlled(Together):
     """Answer with motion in which joints stand where those of the real clip do, in frames drawn by its seed.
 
     The text is the clip's own, and so is the length. `density` is one of `FRAMES`, or "mixed": each motion has one of
@@ -33,17 +35,26 @@ class Controlled(Source):
     label = "controlled"
 
     def __init__(
-        self, model: TextToMotion, *, joints: Sequence[str], density: str = "mixed", sampling: Any = None
+        self,
+        model: TextToMotion,
+        *,
+        joints: Sequence[str],
+        density: str = "mixed",
+        sampling: Any = None,
+        batch_size: int = BATCH,
     ) -> None:
         skeleton = model.skeleton
-        self.model, self.sampling = model.eval(), sampling
+        self.model, self.sampling, self.batch_size = model.eval(), sampling, batch_size
         self.densities = list(FRAMES) if density == "mixed" else [density]
         self.joints = torch.tensor([name in joints for name in skeleton.joint_names])
         self.meters, self.text_encoder = skeleton.meters, model.text_encoder
         self._missed: list[tuple[Tensor, Tensor]] = []
 
-    def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
+    def answer_all(self, questions: Sequence[Asked]) -> list[MotionBatch]:
         """Generate one motion per caption and keep how far its held joints are from their places."""
+        return by_length(questions, self._generate, self.batch_size)
+
+    def _generate(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         tokenizer = self.model.tokenizer
         real = tokenizer.encode(batch)
         held = self.held(batch.lengths, seeds, real.content.shape[1])

@@ -198,5 +198,7 @@ def _repeats(
     count = min(protocol.mm_texts - first, len(seen.index))
     head = select(seen.real, torch.arange(count, device=seen.index.device))
     seeds = [protocol_seeds(protocol.seed, replication, first, count, n) for n in range(1, protocol.mm_repeats)]
-    repeats = _answers(source, [(head, drawn) for drawn in seeds])
-    return torch.stack([seen.motion[:count], *(judge.motion(motions) for motions in repeats)], dim=1)
+    asked, embeddings = iter([(head, drawn) for drawn in seeds]), [seen.motion[:count]]
+    while group := list(islice(asked, AHEAD)):
+        embeddings += [judge.motion(motions) for motions in _answers(source, group)]
+    return torch.stack(embeddings, dim=1)

@@ -77,18 +77,18 @@ class Remembered(Together):
         self._given: list[tuple[int, float, dict[str, float]]] = []
         self._seconds: float | None = None
 
-    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
+    def answer_all(self, questions: Sequence[Asked]) -> list[MotionBatch]:
         """Give the motions that are there, or generate and keep them; of two that ask at once one generates."""
-        files = [self.folder / f"{question(batch, seeds)}.npz" for batch, seeds in asked]
+        files = [self.folder / f"{asked(batch, seeds)}.npz" for batch, seeds in questions]
         with ExitStack() as held:
             for name in sorted({file.stem for file in files}):  # in one order: no two wait for each other
                 held.enter_context(hold(self.folder / f".{name}.lock"))
             found = {file: Made.read(file) for file in files}
-            missing = {file: one for file, one in zip(files, asked, strict=True) if found[file] is None}
+            missing = {file: one for file, one in zip(files, questions, strict=True) if found[file] is None}
             for file, made in zip(missing, self._make(list(missing.values())), strict=True):
                 made.save(file)
                 found[file] = made
-        return [self._give(found[file], batch) for file, (batch, _) in zip(files, asked, strict=True)]
+        return [self._give(found[file], batch) for file, (batch, _) in zip(files, questions, strict=True)]
 
     def measured(self) -> dict[str, float]:
         """Return the means over all motions since the last call of what was measured when they were made."""
@@ -103,8 +103,8 @@ class Remembered(Together):
         """Return how long one of the motions that were `measured` last took to make."""
         return self._seconds
 
-    def _make(self, asked: Sequence[Asked]) -> list[Made]:
-        motions = self.source.answer_all(asked)
+    def _make(self, questions: Sequence[Asked]) -> list[Made]:
+        motions = self.source.answer_all(questions)
         if not motions:
             return []
         seconds, measured = self.source.seconds(), self.source.measured()
@@ -119,7 +119,7 @@ class Remembered(Together):
         return answer(batch, torch.from_numpy(made.features).to(device), torch.from_numpy(made.lengths).to(device))
 
 
-def question(batch: MotionBatch, seeds: Int[Tensor, " b"]) -> str:
+def asked(batch: MotionBatch, seeds: Int[Tensor, " b"]) -> str:
     """Name what a source is asked for: captions, clips, lengths and seeds of a batch."""
     numbers = [batch.lengths.tolist(), seeds.tolist()]
     return hashlib.sha256(repr([text_key(batch.captions), batch.clip_ids, numbers]).encode()).hexdigest()[:24]

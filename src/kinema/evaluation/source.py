@@ -52,7 +52,7 @@ class Together(Source):
     """Answer several batches at once; the answers are those to each by itself, but for rounding."""
 
     @abstractmethod
-    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
+    def answer_all(self, questions: Sequence[Asked]) -> list[MotionBatch]:
         """Return the motions, batch by batch."""
 
     def __call__(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:

@@ -214,9 +214,9 @@ class Generated(Together):
         self.batches = self.motions = 0
         self.took = Stopwatch(model.device)
 
-    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
+    def answer_all(self, questions: Sequence[Asked]) -> list[MotionBatch]:
         """Generate one motion per caption."""
-        return by_length(asked, self._generate, self.batch_size)
+        return by_length(questions, self._generate, self.batch_size)
 
     def _generate(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         text = encode_captions(self.text_encoder, batch)
@@ -262,9 +262,9 @@ class Edited(Together):
         self.dims = model.tokenizer.representation.kind
         self.text_encoder, self.batch_size = model.text_encoder, batch_size
 
-    def answer_all(self, asked: Sequence[Asked]) -> list[MotionBatch]:
+    def answer_all(self, questions: Sequence[Asked]) -> list[MotionBatch]:
         """Edit every motion to its own caption."""
-        return by_length(asked, self._edit, self.batch_size)
+        return by_length(questions, self._edit, self.batch_size)
 
     def _edit(self, batch: MotionBatch, seeds: Int[Tensor, " b"]) -> MotionBatch:
         tokenizer = self.model.tokenizer

@@ -68,5 +68,5 @@ def join(batches: Sequence[MotionBatch]) -> MotionBatch:
         entries=None if any(each is None for each in entries) else torch.cat(entries),
         starts=None if any(each is None for each in starts) else torch.cat(starts),
         captions=[caption for batch in batches for caption in batch.captions],
-        clip_ids=[name for batch in batches for name in batch.clip_ids],
+        clip_ids=[name for batch in batches for name in batch.clip_ids] if all(b.clip_ids for b in batches) else [],
     )

@@ -15,6 +15,8 @@ from kinema.experiments.pages.costs import clips, training_step
 from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.reproduce import reproduce
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_every_part_that_learns_is_counted(micro_tables, tmp_path, monkeypatch):
     small = load_page("costs")

@@ -11,6 +11,8 @@ from kinema.experiments.pages import load_page
 from kinema.experiments.pages.sections import csv_text, markdown, pivot
 from kinema.experiments.reproduce import reproduce
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 PARTS = ("x_t", "phi", "amplification", "denoising", "directions", "samples", "jitter", "reconstruction")
 SMALL = {"motions": 6, "frames": 400, "timesteps": 3}
 

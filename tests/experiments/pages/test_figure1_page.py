@@ -10,6 +10,8 @@ from kinema.experiments.pages import figure1
 from kinema.experiments.reproduce import reproduce
 from kinema.experiments.table_files import load_table
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_models_of_the_scaling_study_are_counted_and_drawn(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")

@@ -12,6 +12,8 @@ from kinema.experiments.reproduce import reproduce
 from kinema.experiments.table_files import load_table
 from kinema.experiments.tables import plan
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_it_counts_the_codes_of_every_tokenizer_once(micro, tmp_path, capsys):
     pytest.importorskip("matplotlib")

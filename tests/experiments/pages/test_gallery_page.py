@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from kinema.experiments import pages
 from kinema.experiments.pages import load_page
 from kinema.experiments.reproduce import reproduce
 from kinema.report.index import write_site
+
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 def test_every_method_answers_every_sentence(micro, tmp_path, monkeypatch):

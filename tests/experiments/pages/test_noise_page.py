@@ -14,6 +14,8 @@ from kinema.experiments.pages.noise import points
 from kinema.experiments.reproduce import reproduce
 from kinema.experiments.tables import plan
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 
 def test_levels_are_scored_once_and_an_evaluator_minds_only_what_it_reads(micro, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")

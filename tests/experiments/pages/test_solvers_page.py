@@ -23,6 +23,8 @@ from kinema.generators.mar import MARDM, MarSampling
 from kinema.generators.mdm import MDM, FrameSampling
 from kinema.types import TextFeatures
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 FRAMES = torch.tensor([16, 9, 12])
 EVALUATIONS = {"ancestral": 1, "ddim": 1, "dpmpp_2m": 1, "euler": 1, "midpoint": 2, "heun": 2, "rk4": 4}
 """Of a step; DDPM's heun takes its last step with one."""

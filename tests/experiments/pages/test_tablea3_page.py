@@ -19,6 +19,8 @@ from kinema.experiments.pages.untrained import untrained
 from kinema.experiments.reproduce import reproduce
 from kinema.text.hashed import HashedTextEncoder
 
+pytestmark = pytest.mark.usefixtures("unchecked")
+
 ALONE = {"mdm_epsilon", "mardm_frames", "mardm_parallel"}
 """Ablations: as fast as what they are of."""
 

@@ -73,7 +73,7 @@ class ScoredSource:
         return ()
 
     def open(self, scorer: Scorer, row: Row) -> Source:
-        """Make what answers."""
+        """Make what answers; a subclass must."""
         raise TypeError(f"{type(self).__name__} says nothing of how it is opened; write its method open")
 
     def completed(self, metrics: dict[str, float]) -> dict[str, float]:

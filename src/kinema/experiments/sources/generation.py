@@ -116,7 +116,7 @@ class GenerationSource(ScoredSource):
         if cfg.task == "editing":
             return Edited(model, task=cfg.edit.task, paste=cfg.edit.paste, sampling=sampling, batch_size=size)
         if cfg.task == "control":
-            return Controlled(model, **plain(cfg.control), sampling=sampling)
+            return Controlled(model, **plain(cfg.control), sampling=sampling, batch_size=size)
         generated = Generated(model, lengths=cfg.lengths, sampling=sampling, batch_size=size)
         return _remembered(cfg, generated) if cfg.keep_motions else generated
 

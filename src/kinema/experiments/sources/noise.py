@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from kinema.experiments.instantiate import read_model
 from kinema.experiments.sources.base import ScoredSource
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ class NoiseSource(ScoredSource):
         import torch
 
         from kinema.evaluation.sources import NoiseCodes, NoiseLatents
+        from kinema.experiments.instantiate import read_model
 
         ((part, run),) = row.subject.items()
         tokenizer = read_model(run, part).to(scorer.device)

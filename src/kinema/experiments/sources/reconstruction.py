@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from kinema.experiments.instantiate import read_model
 from kinema.experiments.sources.base import ScoredSource
 
 if TYPE_CHECKING:
@@ -22,6 +21,7 @@ class ReconstructionSource(ScoredSource):
     def open(self, scorer: Scorer, row: Row) -> Source:
         """Make what answers."""
         from kinema.evaluation.sources import Reconstruction
+        from kinema.experiments.instantiate import read_model
 
         ((part, run),) = row.subject.items()
         return Reconstruction(read_model(run, part).to(scorer.device))

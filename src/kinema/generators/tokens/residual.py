@@ -146,7 +146,8 @@ class ResidualTransformer(LatentModel):
 
         One layer for all is a number: its table is read where it lies, that of a sample's own layer is copied.
         """
-        one_hot = nn.functional.one_hot(torch.as_tensor(layer, device=history.device), self.quantizers)
+        number = torch.full((), layer, device=history.device) if isinstance(layer, int) else layer
+        one_hot = nn.functional.one_hot(number, self.quantizers)
         condition = self.layer_projection(one_hot.to(history.dtype)).expand(len(history), -1)
         prefix = torch.stack((self.encoder.text_projection(text), condition), dim=1)
         x = self.encoder(self.encoder.embed(history, prefix), real=real)[:, 2:]
