@@ -39,7 +39,7 @@ class Source(ABC):
     def seconds(self) -> float | None:
         """Return how long a motion took to make since the last call, by the clock; None: none is made.
 
-        Apart from what is `measured`, which is the same every time.
+        Apart from what is `measured`, which no machine changes.
         """
         return None
 

@@ -12,8 +12,8 @@ from kinema.experiments.config import plain, read_config
 from kinema.experiments.identity import fingerprint
 from kinema.experiments.sampling import build_sampling, sampling_spec
 from kinema.experiments.sources.base import ScoredSource
-from kinema.experiments.stages import get_stage
 from kinema.experiments.stages.base import asked_for
+from kinema.experiments.stages.generator import GeneratorStage
 from kinema.motion.skeleton import get_skeleton
 from kinema.registry import find_class
 from kinema.runs.folder import RunFolder
@@ -31,7 +31,7 @@ class GenerationSource(ScoredSource):
     """Ask a generator, for the task that `task=` names."""
 
     name = "generation"
-    scores = "generator"
+    scores = GeneratorStage.name
     groups = tuple(TASKS.values())
 
     def check_options(self, cfg: DictConfig) -> None:
@@ -43,7 +43,7 @@ class GenerationSource(ScoredSource):
 
     def check_run(self, cfg: DictConfig) -> None:
         """Check that the configuration's method is that of the run: its sampling is the method's."""
-        run = get_stage(self.scores).given(cfg)
+        run = GeneratorStage().given(cfg)
         if run is None or not RunFolder(run).weights.is_file():
             return  # its absence is told where it is read
         from kinema.runs.weights import read_meta  # here: --help must not pay for torch

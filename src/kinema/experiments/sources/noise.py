@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from kinema.experiments.sources.base import ScoredSource
+from kinema.experiments.stages.tokenizer import TokenizerStage
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -21,7 +22,7 @@ class NoiseSource(ScoredSource):
     """Decode noise of the training latents' mean and deviation, or codes as often as training clips have them."""
 
     name = "noise"
-    scores = "tokenizer"
+    scores = TokenizerStage.name
 
     def open(self, scorer: Scorer, row: Row) -> Source:
         """Make what answers."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from kinema.experiments.sources.base import ScoredSource
+from kinema.experiments.stages.tokenizer import TokenizerStage
 
 if TYPE_CHECKING:
     from kinema.evaluation.source import Source
@@ -16,7 +17,7 @@ class ReconstructionSource(ScoredSource):
     """Encode and decode the test clips."""
 
     name = "reconstruction"
-    scores = "tokenizer"
+    scores = TokenizerStage.name
 
     def open(self, scorer: Scorer, row: Row) -> Source:
         """Make what answers."""
