@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 
 from omegaconf import DictConfig
 
+from kinema.experiments.discovery import discover
 from kinema.experiments.sources.base import ScoredSource
 
 
@@ -25,11 +24,4 @@ def sources() -> dict[str, ScoredSource]:
 
 @cache
 def _find(folders: tuple[str, ...]) -> list[tuple[str, ScoredSource]]:
-    found: dict[str, ScoredSource] = {}
-    for entry in pkgutil.iter_modules(folders, f"{__name__}."):
-        for kind in vars(importlib.import_module(entry.name)).values():
-            if isinstance(kind, type) and issubclass(kind, ScoredSource) and "name" in vars(kind):
-                other = found.setdefault(kind.name, kind())
-                if type(other) is not kind:
-                    raise ValueError(f"{kind} and {type(other)} are both source {kind.name!r}; rename one of them")
-    return list(found.items())
+    return list(discover(__name__, folders, ScoredSource, "source").items())

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from functools import cache
 from graphlib import TopologicalSorter
 
+from kinema.experiments.discovery import discover
 from kinema.experiments.stages.base import Stage
 from kinema.experiments.stages.judge import JudgeStage
 
@@ -45,13 +44,7 @@ def completions_of(stage: Stage) -> list[Stage]:
 
 @cache
 def _find(folders: tuple[str, ...]) -> list[tuple[str, Stage]]:
-    found: dict[str, Stage] = {}
-    for entry in pkgutil.iter_modules(folders, f"{__name__}."):
-        for kind in vars(importlib.import_module(entry.name)).values():
-            if isinstance(kind, type) and issubclass(kind, Stage) and "name" in vars(kind):
-                other = found.setdefault(kind.name, kind())
-                if type(other) is not kind:
-                    raise ValueError(f"{kind} and {type(other)} are both stage {kind.name!r}; rename one of them")
+    found = discover(__name__, folders, Stage, "stage")
     order = TopologicalSorter({name: found[name].needs for name in sorted(found)})
     for stage in found.values():
         for reader in (*stage.needed_by, *stage.companion_of):
